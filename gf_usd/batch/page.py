@@ -214,7 +214,8 @@ def _row(outcome: Outcome, job: Job | None, undrawn: Mapping[Path, str]) -> Html
 def _number(value: Any, form: str) -> Html:
     if value is None:
         return tag("td", "", class_="number", data_value="")
-    return tag("td", form.format(value), class_="number", data_value=repr(value))
+    text = form.format(value) if value else "0"  # 0.0e+00 says no more
+    return tag("td", text, class_="number", data_value=repr(value))
 
 
 def _why(outcome: Outcome, undrawn: Mapping[Path, str]) -> list[str]:

@@ -179,7 +179,7 @@ def plate(degrees: float, **options):
 
 
 @pytest.mark.slow
-def test_a_moving_obstacle_is_a_resting_one_seen_by_a_traveller():
+def test_a_moving_obstacle_is_a_resting_one_seen_by_a_moving_observer():
     """A tilted plate that hits a ball, and the ball that hits the plate: Galilei."""
     count, w = 16, np.array([0.8, 3.0, 0.0])
     ball = sphere(center=1.4 * tilted([[0.0, 1.0, 0.0]], 25.0)[0], path="/Ball")

@@ -79,6 +79,15 @@ def test_failures_are_on_top_with_why_and_what_to_do(tmp_path: Path) -> None:
     assert "1 job has not been run yet: never" in text
 
 
+def test_an_energy_gain_of_zero_has_no_exponent(tmp_path: Path) -> None:
+    plan = BatchPlan(jobs=(job(tmp_path, "a"),), out=tmp_path, title="t", timeout=None, retries=1)
+    health = {"energy_gain_max_share": 0.0}
+    text = build_page(plan, [outcome("a", "done", health=health)], {"repeat": "gf-usd batch x"}, {})
+    gain = next(k for k, column in enumerate(COLUMNS) if "energy gain" in column)
+    assert Table(text).rows[1][1][gain] == "0"
+    assert "0.0e+00" not in text
+
+
 def test_a_slice_is_no_fault(tmp_path: Path) -> None:
     jobs = tuple(job(tmp_path, name) for name in ("long", "bad"))
     plan = BatchPlan(jobs=jobs, out=tmp_path, title="t", timeout=None, retries=1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 
 import pytest
 
@@ -106,3 +107,8 @@ def test_the_registry_covers_what_was_asked_for() -> None:
         "solvers", "law-corotated", "law-neoHookean",
     } <= set(names)  # fmt: skip
     assert all(c.what.endswith(".") and c.source for c in CASES)
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_numbers_in_texts_have_a_digit_before_the_point(case: Case) -> None:
+    assert not re.search(r"(?<![\w.])\.\d", f"{case.what} {case.source}")

@@ -83,7 +83,7 @@ PHYSICAL: dict[str, PhysicalPreset] = {
         ),
         PhysicalPreset(
             name="hard-rubber", density=1150.0, youngs_modulus=1e7, poissons_ratio=0.47,
-            source="a filled, hard elastomer such as a tyre's tread, to an order of magnitude",
+            source="a filled, hard elastomer such as a tire's tread, to an order of magnitude",
         ),
         PhysicalPreset(
             name="foam", density=52.0, youngs_modulus=1.7e6, poissons_ratio=0.27,

@@ -56,6 +56,14 @@ def drop(particles: int, device: str) -> Squash:
     )
 
 
+TITLES = {
+    "sigma": "mean of the smallest principal stretch",
+    "height": "least height of the mesh",
+    "spread": "least vertical spread of the particles",
+}
+LABELS = {"sigma": "stretch", "height": "height / at rest", "spread": "rms height / at rest"}
+
+
 def converge(*counts: int) -> Callable[[str], Iterator[Measure]]:
     """The drop at several particle counts, each twice the one before."""
 
@@ -63,17 +71,18 @@ def converge(*counts: int) -> Callable[[str], Iterator[Measure]]:
         results = [drop(n, device) for n in counts]
         finest = results[-1]
 
-        def curve(title: str, name: str) -> Curve:
+        def curve(name: str) -> Curve:
             return Curve(
-                title=title, x_label="particles", y_label=name, x=tuple(map(float, counts)),
+                title=f"drop of a rubber ball: {TITLES[name]}", x_label="particles",
+                y_label=LABELS[name], x=tuple(map(float, counts)),
                 y=tuple(getattr(s, name) for s in results), logarithmic=False,
                 target=SIGMA if name == "sigma" else None,
             )  # fmt: skip
 
         yield Measure(
             name="sigma", value=finest.sigma, target=SIGMA, bound=0.01,
-            why="the prototype scatters by .008 over its five resolutions, 250 to 4000",
-            curve=curve("mean least stretch of the rubber drop", "sigma"),
+            why="the prototype scatters by 0.008 over its five resolutions, 250 to 4000",
+            curve=curve("sigma"),
         )  # fmt: skip
         for name, bound, why in (
             ("sigma", 0.005, "a mean over all particles; half a percent is required"),
@@ -88,7 +97,7 @@ def converge(*counts: int) -> Callable[[str], Iterator[Measure]]:
             yield Measure(
                 name=f"{name}-change", value=last, target=0.0, bound=bound,
                 why=f"between the two finest: {why}",
-                curve=None if name == "sigma" else curve(f"{name} of the rubber drop", name),
+                curve=None if name == "sigma" else curve(name),
             )  # fmt: skip
 
     return run

@@ -126,8 +126,8 @@ def spin_apic(device: str) -> Iterator[Measure]:
         name="left", value=float(last / first), target=1.0, bound=(1.0 - SQUASH) ** 2, unit="L/L0",
         why=(
             "APIC conserves sum X x p, and sum x x p except for sum u x (change of p): u is of the"
-            " order of the strain, .12, and so is the part of p that is not affine and can change;"
-            " .12 squared"
+            " order of the strain, 0.12, and so is the part of p that is not affine and can change;"
+            " 0.12 squared"
         ),
     )  # fmt: skip
     s = settings(device, frames=2, fps=60.0, filter_rate=np.inf, mass=LUMPED)
@@ -175,7 +175,7 @@ CASES = (
     Case(
         name="spin-apic",
         what="The same ball with the APIC filter at every substep, as in the paper, for two"
-        " seconds, squashed to .88 of its height.  The fraction of its spin that remains.",
+        " seconds, squashed to 0.88 of its height.  The fraction of its spin that remains.",
         source="conservation of angular momentum",
         quick=spin_apic,
     ),

@@ -53,13 +53,13 @@ def bounce(device: str) -> Iterator[Measure]:
         unit="m",
         why=(
             "the formula of r is that of a spring that also pulls; a floor does not, and separates"
-            " sooner, which gives .8553 for .85, 1.25 % more height"
+            " sooner, which gives 0.8553 for 0.85, 1.25 % more height"
         ),
     )  # fmt: skip
     yield Measure(
         name="height-no-pull", value=top, target=exact, bound=0.004, kind=RELATIVE, unit="m",
-        why="closed form for a spring that never pulls; damping is half a step late, z w dt = .15"
-        " %, and the spring separates 2 z v / w = 2 mm under the floor, .06 %",
+        why="closed form for a spring that never pulls; damping is half a step late, z w dt = 0.15"
+        " %, and the spring separates 2 z v / w = 2 mm under the floor, 0.06 %",
     )  # fmt: skip
 
 
@@ -117,8 +117,8 @@ def penetration(
                     name=f"rest.{name}.{radius:g}m",
                     value=rest(name, radius, particles, device), target=0.0, bound=0.1,
                     unit="spacings",
-                    why="k/m >= p0 / (.045 rho s^2): .045 of a spacing under Hertz's pressure of"
-                    " the weight, which jelly exceeds by its large strain; .1 is what"
+                    why="k/m >= p0 / (0.045 rho s^2): 0.045 of a spacing under Hertz's pressure of"
+                    " the weight, which jelly exceeds by its large strain; 0.1 is what"
                     " docs/physics.md states",
                 )  # fmt: skip
 
@@ -129,7 +129,7 @@ CASES = (
     Case(
         name="bounce",
         what="Eight particles and a contact sample in one point are a point mass.  It falls from"
-        " 4 m on a floor with a restitution of .85; the height of its rebound is measured.",
+        " 4 m on a floor with a restitution of 0.85; the height of its rebound is measured.",
         source="closed form; Schwager and Poeschel 2007, eq. 21",
         quick=bounce,
     ),

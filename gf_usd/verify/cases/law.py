@@ -54,7 +54,7 @@ def random_rotation(rng: np.random.Generator) -> Floats:
 def random_gradients(rng: np.random.Generator) -> list[Floats]:
     """Eight regular, two nearly flat and two inverted gradients with random rotations.
 
-    Stretches differ by .2 or more: the polar decomposition is discontinuous where two coincide.
+    Stretches differ by 0.2 or more: the polar decomposition is discontinuous where two coincide.
     """
     stretches = [np.sort(rng.uniform(0.4, 1.6, 3)) + [0.0, 0.2, 0.4] for _ in range(8)]
     stretches += [np.array([s, 0.9, 1.2]) for s in (0.05, 0.15, -0.4, -0.7)]

@@ -40,7 +40,7 @@ def slanted_bar() -> Surface:
 
 
 def torus() -> Surface:
-    """A ring of radius 1 m and thickness .6 m, off the origin."""
+    """A ring of radius 1 m and thickness 0.6 m, off the origin."""
     mesh = trimesh.creation.torus(1.0, 0.3)
     mesh.vertices = np.asarray(mesh.vertices) + [0.37, -0.21, 0.11]
     return surface_from_mesh(mesh, "/Ring")

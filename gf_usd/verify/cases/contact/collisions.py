@@ -169,7 +169,8 @@ def collisions(counts: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
                     f" vibrations: {tolerance} is required"
                 ),
                 curve=Curve(
-                    title="speed lost by two balls", x_label="particles a ball", y_label="1 - e",
+                    title="head-on collision of two balls: loss of relative speed",
+                    x_label="particles per ball", y_label="1 - restitution e",
                     x=x, y=tuple(1.0 - each.restitution for each in results),
                 ) if last else None,
             )  # fmt: skip
@@ -183,8 +184,9 @@ def collisions(counts: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
                     " vibrational energy, w dt up to 1"
                 ),
                 curve=Curve(
-                    title="energy left ringing in two balls", x_label="particles a ball",
-                    y_label="of the energy at the start", x=x,
+                    title="head-on collision of two balls: energy left in vibrations",
+                    x_label="particles per ball",
+                    y_label="vibrational energy / initial energy", x=x,
                     y=tuple(each.ringing for each in results),
                 ) if last else None,
             )  # fmt: skip

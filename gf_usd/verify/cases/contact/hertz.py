@@ -18,10 +18,10 @@ from gf_usd.verify.case import AT_LEAST, RELATIVE, Case, Curve, Measure
 YOUNG, DENSITY = 1e6, 1000.0  # [Pa], [kg/m^3]; the radius is 1 m
 FRAMES = 100  # in Hertz's time
 FEW = 50  # of the quick form
-# Of the floor: an axis of the grid, its diagonal and neither.  A contact of .1 R holds some six
+# Of the floor: an axis of the grid, its diagonal and neither.  A contact of 0.1 R holds some six
 # samples at 8,000 particles, so that its time depends on where they lie.
 NORMALS = ((0.0, 1.0, 0.0), (1.0, 1.0, 1.0), (1.0, 2.0, 3.0))
-FINE = 5  # subdivisions of the sphere: its facets lie .0004 R under it
+FINE = 5  # subdivisions of the sphere: its facets lie 0.0004 R under it
 
 
 @cache
@@ -95,8 +95,8 @@ def durations(
         for approach, nu, bound in given:
             results = [mean_impact(n, approach, nu, device, frames) for n in counts]
             curve = Curve(
-                title=f"contact time over Hertz's, approach {approach:g} R, nu {nu:g}",
-                x_label="particles", y_label="t / t Hertz", x=tuple(map(float, counts)),
+                title=f"contact time, largest approach {approach:g} R, Poisson's ratio {nu:g}",
+                x_label="particles", y_label="contact time / Hertz's", x=tuple(map(float, counts)),
                 y=tuple(one.time for one in results), logarithmic=False, target=1.0,
             )  # fmt: skip
             yield Measure(
@@ -117,7 +117,7 @@ def durations(
                 bound=0.01, kind=AT_LEAST,
                 why=(
                     "there is no damping: the missing energy is vibration of the ball, 1e-3 of the"
-                    " energy at a speed of .01 c in theory (Hunter 1957), so up to 1 % of the"
+                    " energy at a speed of 0.01 c in theory (Hunter 1957), so up to 1 % of the"
                     " speed"
                 ),
             )  # fmt: skip
@@ -146,8 +146,8 @@ CASES = (
         name="hertz",
         what=(
             "An elastic ball hits a rigid floor so fast that by Hertz's theory it is indented by"
-            " .05 and .01 of its radius, without damping.  The contact time relative to the closed"
-            " form, with 8,000 particles, and the speed after the bounce: means of three"
+            " 0.05 and 0.01 of its radius, without damping.  The contact time relative to the"
+            " closed form, with 8,000 particles, and the speed after the bounce: means of three"
             " directions."
         ),
         source="Hertz 1882; Johnson 1985, section 11.4: 2.87 (m^2 / (R E*^2 v))^(1/5)",

@@ -91,7 +91,7 @@ def friction(cells: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
                         why=(
                             "all samples slip, so that friction is mu times the normal force; the"
                             " block vibrates at w = pi / 2 sqrt(E / rho) / L = 50 /s at the"
-                            " lowest, at first by g / w = .2 m/s and after a second of damping,"
+                            " lowest, at first by g / w = 0.2 m/s and after a second of damping,"
                             " exp(-tau w^2 G / (lambda + 2 G) t), by 1e-4 of the speed that it"
                             " gained; a sliding block does not roll"
                         ),
@@ -104,7 +104,7 @@ CASES = (
     Case(
         name="slope",
         what=(
-            "A block of 1 m with a friction of .5 is put on slopes of 20 and 35 degrees, floor and"
+            "A block of 1 m with a friction of 0.5 is put on slopes of 20 and 35 degrees, floor and"
             " obstacle.  On the first it must not creep, on the second it must slide with"
             " Coulomb's acceleration, also with the rolling resistance and settling of bakes."
         ),

@@ -77,8 +77,8 @@ def bar(*cells: int) -> Callable[[str], Iterator[Measure]]:
                 " small term of the next order"
             ),
             curve=Curve(
-                title="fixed-free bar, error of the first frequency", x_label="h / L",
-                y_label="error", x=tuple(h), y=tuple(np.abs(error)),
+                title="fixed-free bar: first frequency", x_label="cell size h / length L",
+                y_label="relative error", x=tuple(h), y=tuple(np.abs(error)),
             ),
         )  # fmt: skip
         yield Measure(
@@ -149,7 +149,8 @@ def hang(*cells: int) -> Callable[[str], Iterator[Measure]]:
             " elements on the same equations (tools/vertical_reference.py, 8, 12, 16, 24, 32, 48"
             " along the edge) have -1.7640, -1.7618, -1.7571, -1.7519, -1.7519, -1.7511",
             curve=Curve(
-                title="vertical bar, lowest point of the tip", x_label="h [m]", y_label="tip [m]",
+                title="vertical bar: lowest position of the tip", x_label="cell size h [m]",
+                y_label="position of the tip [m]",
                 x=tuple(1.0 / np.array(cells)), y=tuple(tips), logarithmic=False, target=LIMIT,
             ),
         )  # fmt: skip
@@ -158,7 +159,7 @@ def hang(*cells: int) -> Callable[[str], Iterator[Measure]]:
             name="time", value=float(times[-1]), target=TIME, bound=late / TIME, kind=RELATIVE,
             unit="s",
             why=(
-                "the corner oscillates about the motion of the block with a period of .01 s, and"
+                "the corner oscillates about the motion of the block with a period of 0.01 s, and"
                 f" stays within 1 % of its lowest for {FLAT} s on either side: on coarse grids a"
                 " neighboring wave is the deepest; 24 cells separate them, and the error is one"
                 " frame"

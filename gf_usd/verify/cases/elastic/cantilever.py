@@ -110,7 +110,8 @@ def elastica(
     def run(device: str) -> Iterator[Measure]:
         results = bend(beam, loads, device)
         curve = Curve(
-            title="elastica, deflection of the tip", x_label="P L^2 / E I", y_label="w / L",
+            title="elastica: deflection of the tip", x_label="load P L^2 / (E I)",
+            y_label="deflection w / length L",
             x=tuple(loads), y=tuple(w for w, _ in results), logarithmic=False,
         )  # fmt: skip
         for load, figures in zip(loads, results):
@@ -132,13 +133,13 @@ CASES = (
         source="closed form: the elastica (Bisshopp and Drucker 1945)",
         quick=elastica(
             Beam(slenderness=10, cells=2), (1.0, 2.0), 0.01,
-            "10 times as long as thick: the elastica has no shear, .6 (t/L)^2 = .6 % of w, nor"
-            " stretch; bending itself is exact to .1 % from 2 cells through the thickness",
+            "10 times as long as thick: the elastica has no shear, 0.6 (t/L)^2 = 0.6 % of w, nor"
+            " stretch; bending itself is exact to 0.1 % from 2 cells through the thickness",
         ),
         full=elastica(
             Beam(slenderness=20, cells=8), tuple(ELASTICA), 0.01,
-            "20 times as long as thick: the elastica has no shear, .6 (t/L)^2 = .15 % of w, nor"
-            " the stretch that a steep load gives the beam, P / E A = .2 %; residual motion .1 %",
+            "20 times as long as thick: the elastica has no shear, 0.6 (t/L)^2 = 0.15 % of w, nor"
+            " the stretch that a steep load gives the beam, P / E A = 0.2 %; residual motion 0.1 %",
         ),
     ),
 )  # fmt: skip

@@ -1,6 +1,6 @@
 """Method of manufactured solutions with large strain, shear and rotation.
 
-    x = R(t) (X + w),    w_a = G (sin(pi X_a) s_a + sin(pi X_b + .7) s_b),
+    x = R(t) (X + w),    w_a = G (sin(pi X_a) s_a + sin(pi X_b + 0.7) s_b),
     s_a = sin(c pi t + phi_a)
 
 on the cube |X_a| < 1/2, with b the axis after a, c = sqrt(E / rho), and R a rotation about
@@ -143,8 +143,8 @@ def converge(*cells: int) -> Callable[[str], Iterator[Measure]]:
             f" stretches are {low:.2f} to {high:.2f}, and of a wave of 2 m the next order shows on"
             " coarse grids: C h^2 (1 - h) has the order 2 - h / (1 - h), 1.85 for h = 1/8 m",
             curve=Curve(
-                title="manufactured solution of large strain", x_label="h [m]",
-                y_label="L2 error / G", x=tuple(h), y=tuple(errors),
+                title="manufactured solution, large strain", x_label="cell size h [m]",
+                y_label="L2 error / amplitude G", x=tuple(h), y=tuple(errors),
             ),
         )  # fmt: skip
 

@@ -1,7 +1,7 @@
 """Locking: bending stiffness of nearly incompressible material.
 
 The first bending vibration of a free beam determines its modulus, as in measurements of real bars.
-The formula of the standard (ASTM E1876) has errors up to .4 % at nu = .49, more than the solver;
+The formula of the standard (ASTM E1876) has errors up to 0.4 % at nu = 0.49, more than the solver;
 the reference is the frequency of the three-dimensional beam (`ritz.py`).
 """
 
@@ -72,7 +72,8 @@ def locking(
     def run(device: str) -> Iterator[Measure]:
         errors = [(bending(nu, cells, periods, device) / exact(nu)) ** 2 - 1.0 for nu in ratios]
         curve = Curve(
-            title="stiffness error of bending", x_label="nu", y_label="error",
+            title="bending stiffness over Poisson's ratio", x_label="Poisson's ratio",
+            y_label="relative error of the stiffness",
             x=tuple(ratios), y=tuple(errors), logarithmic=False, target=0.0,
         )  # fmt: skip
         for nu, value in zip(ratios, errors):

@@ -113,7 +113,8 @@ def converge(*cells: int) -> Callable[[str], Iterator[Measure]]:
                 " error"
             ),
             curve=Curve(
-                title="manufactured solution", x_label="h [m]", y_label="L2 error / G",
+                title="manufactured solution, small strain", x_label="cell size h [m]",
+                y_label="L2 error / amplitude G",
                 x=tuple(h), y=tuple(errors),
             ),
         )  # fmt: skip

@@ -138,8 +138,9 @@ def bar(*counts: int) -> Callable[[str], Iterator[Measure]]:
             f" or better; from {1.0 / h[0]:.1f} to {1.0 / h[-1]:.1f} cells through the thickness,"
             " where the order itself scatters with how the surface cuts the cells",
             curve=Curve(
-                title="free bar across the grid, error of its frequency", x_label="h / thickness",
-                y_label="error", x=tuple(h), y=tuple(np.abs(error)),
+                title="free bar at an angle to the grid: longitudinal frequency",
+                    x_label="cell size h / thickness",
+                y_label="relative error", x=tuple(h), y=tuple(np.abs(error)),
             ),
         )  # fmt: skip
         yield Measure(
@@ -165,8 +166,9 @@ def sphere_with_a_hole(*counts: int) -> Callable[[str], Iterator[Measure]]:
                 " slow waves; the error is far less and changes its sign, so that no order can be"
                 " read off",
                 curve=Curve(
-                    title="hollow sphere, error of its lowest radial frequency",
-                    x_label="h / wall", y_label="error", x=tuple(h), y=tuple(np.abs(error)),
+                    title="hollow sphere: lowest radial frequency",
+                    x_label="cell size h / wall thickness", y_label="relative error",
+                    x=tuple(h), y=tuple(np.abs(error)),
                 ) if count == counts[-1] else None,
             )  # fmt: skip
 

@@ -30,7 +30,7 @@ from gf_usd.verify.case import AT_LEAST, Case, Curve, Measure, convergence_order
 NU, E, DENSITY = 0.25, 1e6, 1000.0  # -, [Pa], [kg/m^3]
 AMPLITUDE = 1e-3  # largest velocity over c_s: strains stay linear to 1e-3
 PERIODS, SAMPLES = 2, 12
-FINE = 4  # subdivisions of the sphere: with 3 its facets alone are worth .3 % of T3
+FINE = 4  # subdivisions of the sphere: with 3 its facets alone are worth 0.3 % of T3
 
 
 def first_root(f: Callable[[Any], Any], low: float, high: float) -> float:
@@ -119,7 +119,8 @@ def lamb(*counts: int) -> Callable[[str], Iterator[Measure]]:
                 name=mode.name, value=1.0 + float(error[-1]), target=1.0, bound=mode.tolerance,
                 why=f"the tolerance required with 8000 particles, here with {counts[-1]}",
                 curve=Curve(
-                    title=f"free sphere, error of {mode.name}", x_label="h / R", y_label="error",
+                    title=f"free sphere: frequency of mode {mode.name}",
+                    x_label="cell size h / radius R", y_label="relative error",
                     x=tuple(h), y=tuple(np.abs(error)),
                 ),
             )  # fmt: skip
@@ -181,8 +182,8 @@ def inertia(*counts: int) -> Callable[[str], Iterator[Measure]]:
             why=f"the required tolerance, for a ball of {counts[0]} particles against the"
             " polyhedron that they fill; the row sums would have 1 + 5/4 (h / R)^2",
             curve=Curve(
-                title="ball, inertia of the mass matrix over its mesh's own",
-                x_label="h / R", y_label="error", x=tuple(h),
+                title="ball: moment of inertia of the mass matrix",
+                x_label="cell size h / radius R", y_label="relative error", x=tuple(h),
                 y=tuple(np.abs(np.array(ratios) - 1.0)),
             ),
         )  # fmt: skip

@@ -99,17 +99,17 @@ def driven_base(*cells: int) -> Callable[[str], Iterator[Measure]]:
             name="face", value=amplitude_ratio(clamp(0, 0.0), 0.0, cells[-1], device),
             target=AMPLITUDE_RATIO,
             bound=0.01, kind=RELATIVE,
-            why=f"{cells[-1]} cells along the bar; its answer changes by 1.56 % for 1 % of its"
-            " length; 1 % is required",
+            why=f"{cells[-1]} cells along the bar; the amplitude ratio changes by 1.56 % for 1 %"
+            " of its length; 1 % is required",
         )  # fmt: skip
         # nodes are at cell centers: the last node of the core is at x = 0
         core = replace(clamp(0, 1e-6), sharp=False)
         behind = 2.5
         h = 1.0 / (np.array(cells) - behind)
-        answers = np.array([amplitude_ratio(core, behind, n, device) for n in cells])
+        ratios = np.array([amplitude_ratio(core, behind, n, device) for n in cells])
         slope = float(np.tan(1.0))  # d ln(1 / cos x) / dx at 1
         yield Measure(
-            name="core", value=float(answers[-1]), target=AMPLITUDE_RATIO,
+            name="core", value=float(ratios[-1]), target=AMPLITUDE_RATIO,
             bound=1.5 * slope * CORE_OFFSET * h[-1],
             kind=RELATIVE,
             why=(
@@ -118,13 +118,14 @@ def driven_base(*cells: int) -> Callable[[str], Iterator[Measure]]:
             ),
         )  # fmt: skip
         yield Measure(
-            name="limit", value=float(np.polyfit(h, answers, 1)[1]), target=AMPLITUDE_RATIO,
+            name="limit", value=float(np.polyfit(h, ratios, 1)[1]), target=AMPLITUDE_RATIO,
             bound=0.01,
             kind=RELATIVE,
-            why="the line through the answers of the core at h = 0; 1 % is required",
+            why="the line through the amplitude ratios of the core at h = 0; 1 % is required",
             curve=Curve(
-                title="bar on a driven core", x_label="h / L", y_label="answer", x=tuple(h),
-                y=tuple(answers), logarithmic=False, target=AMPLITUDE_RATIO,
+                title="bar on a driven core: amplitude of the free end",
+                x_label="cell size h / length L", y_label="amplitude ratio, end / base", x=tuple(h),
+                y=tuple(ratios), logarithmic=False, target=AMPLITUDE_RATIO,
             ),
         )  # fmt: skip
 

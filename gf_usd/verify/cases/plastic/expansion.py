@@ -34,7 +34,7 @@ from gf_usd.verify.case import AT_LEAST, RELATIVE, Case, Curve, Measure, converg
 INNER, OUTER = 10e-3, 20e-3
 SHEAR, BULK, YIELD = 3.8e9, 40e9, 0.5e6
 DENSITY = 1000.0  # [kg/m^3]: the answer has none
-# Of the hole, .002 of the waves in a material a hundred times as soft, and four times that in the
+# Of the hole, 0.002 of the waves in a material a hundred times as soft, and four times that in the
 # set-up's own, whose steps are ten times shorter.  [m/s]
 SLOW, BRISK = 1.34, 5.37
 SOFTER = 100.0
@@ -165,8 +165,8 @@ def expansion(
                 name=f"{kind}stress-at-{a * 1e3:.0f}mm", value=-read(*results[-1], a),
                 target=-float(exact(a)), bound=bound, kind=RELATIVE, unit="Pa", why=why,
                 curve=Curve(
-                    title=f"thick cylinder{kind and ' of its own moduli'}, stress on the hole",
-                    x_label="h / R", y_label="[Pa]",
+                    title=f"thick cylinder{kind and ', unscaled moduli'}: pressure on the bore",
+                    x_label="cell size h / wall thickness", y_label="pressure [Pa]",
                     x=tuple(1.0 / np.array(cells)), y=tuple(-last), logarithmic=False,
                     target=-float(exact(max(radii))),
                 ) if a == max(radii) else None,
@@ -193,7 +193,8 @@ CASES = (
         name="expansion",
         what=(
             "A thick cylinder of perfectly plastic material, 10 mm inside and 20 outside, is"
-            " expanded until its hole is 40 mm wide, in plane strain: the stress on the hole."
+            " expanded until its hole is 40 mm wide, in plane strain: the pressure on"
+            " the bore."
             "  Flow of this extent must neither lock nor lose volume."
         ),
         source="closed form of a rigid, perfectly plastic cylinder (Hill 1950); set-up of Cardiff"

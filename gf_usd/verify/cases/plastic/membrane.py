@@ -44,7 +44,7 @@ STEEL = Material(
 # have -6.14 to -6.25 and 6.91 to 7.004 mm; up, our own elements tend to 6.99 mm
 CORNER = -6.23907e-3, 7.00031e-3
 CURRENT = 7.4e-3  # [m] up, of a traction on the current edge: solids4foam's tutorial cooksMembrane
-SLOWEST = 0.05  # [c / WIDTH], angular: twice as fast the corner stays .7 % lower (measured)
+SLOWEST = 0.05  # [c / WIDTH], angular: twice as fast the corner stays 0.7 % lower (measured)
 RAMP, WAIT = 10.0, 1.5  # [2 pi / SLOWEST] to raise the load, and to come to rest
 FRAMES = 20  # a period: the load changes so often
 
@@ -99,7 +99,9 @@ def raised(cells: int, device: str, *, current: bool = False) -> tuple[tuple[flo
 
 
 def membrane(*cells: int, bounds: tuple[float, float]) -> Callable[[str], Iterator[Measure]]:
-    """The corner at several resolutions; bounds : of its way right and up at the finest."""
+    """The corner at several resolutions; bounds : of its displacement right and up, at the
+    finest.
+    """
 
     def run(device: str) -> Iterator[Measure]:
         results = [raised(n, device) for n in cells]
@@ -109,10 +111,11 @@ def membrane(*cells: int, bounds: tuple[float, float]) -> Callable[[str], Iterat
             why=(
                 f"{cells[-1]} cells over the width; flow concentrates at the clamped upper corner,"
                 " which reduces the order to about one, also that of finite elements; our values"
-                " tend to a limit .15 % from this one"
+                " tend to a limit 0.15 % from this one"
             ),
             curve=Curve(
-                title="Cook's membrane, way of the corner", x_label="h / width", y_label="[m]",
+                title="Cook's membrane: upward displacement of the corner",
+                x_label="cell size h / width", y_label="displacement [m]",
                 x=tuple(1.0 / n for n in cells), y=y, logarithmic=False, target=CORNER[1],
             ),
         )  # fmt: skip

@@ -29,8 +29,8 @@ from gf_usd.verify.cases.plastic.taylor import (
 )
 
 # At the end, of elements with 6, 8, 12 along the radius: radius 7.261, 7.298 and 7.327 mm, length
-# 21.477, 21.470 and 21.467 mm, height of the rim .169, .210 and .244 mm.  Here are their limits of
-# the first order in h; those of two pairs differ by .008, .004 and .007 mm.
+# 21.477, 21.470 and 21.467 mm, height of the rim 0.169, 0.210 and 0.244 mm.  Here are their limits
+# of the first order in h; those of two pairs differ by 0.008, 0.004 and 0.007 mm.
 ELEMENTS = (7.39e-3, 21.46e-3, 0.32e-3)
 
 
@@ -94,8 +94,9 @@ def landing(*cells: int, bounds: tuple[float, float, float]) -> Callable[[str], 
                 name=name, value=float(shapes[-1, k]), target=ELEMENTS[k], bound=bounds[k],
                 kind=RELATIVE, unit="m", why=why,
                 curve=Curve(
-                    title=f"Taylor's bar on a floor, {name} of its rim", x_label="h / R",
-                    y_label="[m]", x=tuple(1.0 / np.array(cells)), y=tuple(shapes[:, k]),
+                    title=f"Taylor's bar on a floor: {name} of its rim",
+                    x_label="cell size h / radius R",
+                    y_label=f"{name} [m]", x=tuple(1.0 / np.array(cells)), y=tuple(shapes[:, k]),
                     logarithmic=False, target=ELEMENTS[k],
                 ) if name != "length" else None,
             )  # fmt: skip

@@ -77,7 +77,8 @@ def slump(cells: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
                     " (measured)"
                 ),
                 curve=Curve(
-                    title="slump of a column", x_label="h / half width", y_label="s / H",
+                    title="column of paste: slump", x_label="cell size h / half width",
+                    y_label="slump s / height H",
                     x=tuple(1.0 / np.array(cells)), y=tuple(reached), logarithmic=False,
                     target=float(exact(y)),
                 ) if y == YIELDS[-1] else None,

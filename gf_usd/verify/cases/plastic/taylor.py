@@ -128,7 +128,8 @@ def impact(*cells: int, bounds: tuple[float, float, float]) -> Callable[[str], I
             name="radius", value=finest.at(END)[0], target=FINAL[0], bound=bounds[0],
             kind=RELATIVE, unit="m", why=why,
             curve=Curve(
-                title="Taylor's bar, radius of the foot", x_label="h / R", y_label="radius [m]",
+                title="Taylor's bar: final radius of the foot", x_label="cell size h / radius R",
+                y_label="radius of the foot [m]",
                 x=tuple(h), y=tuple(radii), logarithmic=False, target=FINAL[0],
             ),
         )  # fmt: skip

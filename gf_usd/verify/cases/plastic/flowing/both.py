@@ -20,6 +20,7 @@ from gf_usd.verify.bodies import ball, preset_material, settings
 from gf_usd.verify.case import ABSOLUTE, Case, Curve, Measure
 
 FPS, FRAMES = 60.0, 100
+TITLES = {"lowest": "lowest position", "when": "time of the lowest position", "rebound": "rebound"}
 DROP = 3.0  # [radii]
 
 
@@ -61,14 +62,14 @@ def agree(counts: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
         why = {
             "lowest": (
                 0.01, "r",
-                "half a cell of the grid is .14 r; a grid fixed in space samples the stretched"
+                "half a cell of the grid is 0.14 r; a grid fixed in space samples the stretched"
                 " cells of a squashed ball differently",
             ),
             "when": (0.005, "T", "a free fall is exact in both, and the bounce lasts half a T"),
             "rebound": (
                 0.6, "r",
                 "not the same physics: APIC damps vibrations within a cell, and more of them on"
-                " the fixed grid, through which the ball moves. It is .57, .45 with 500 and 1,000"
+                " the fixed grid, through which the ball moves. It is 0.57, 0.45 with 500 and 1,000"
                 " particles and goes to 0 with the cells",
             ),
         }  # fmt: skip
@@ -78,7 +79,8 @@ def agree(counts: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
                 name=name, value=float(apart[-1]), target=0.0, bound=bound, kind=ABSOLUTE,
                 unit=unit, why=reason,
                 curve=Curve(
-                    title=f"{name} of both solvers", x_label="particles", y_label="difference",
+                    title=f"Updated and Total Lagrangian drop: {TITLES[name]}", x_label="particles",
+                    y_label=f"difference [{unit}]",
                     x=tuple(map(float, counts)), y=tuple(map(float, apart)),
                 ) if len(results) > 1 else None,
             )  # fmt: skip

@@ -93,8 +93,9 @@ def column(ratios: Sequence[float], particles: Sequence[int]) -> Callable[[str],
                     " neglects"
                 ),
                 curve=Curve(
-                    title=f"runout of a column of beads, {a:g} r high", x_label="particles^(-1/3)",
-                    y_label="(r_end - r) / r", x=tuple(float(n) ** (-1.0 / 3.0) for n in particles),
+                    title=f"column of beads {a:g} r high: runout", x_label="particles^(-1/3)",
+                    y_label="runout (r_end - r) / r",
+                    x=tuple(float(n) ** (-1.0 / 3.0) for n in particles),
                     y=tuple(r for r, _ in results), logarithmic=False, target=middle,
                 ) if len(results) > 1 else None,
             )  # fmt: skip

@@ -108,8 +108,8 @@ def conserve(counts: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
                 " is allowed"
             ),
             curve=Curve(
-                title="spread of a ball that becomes sand", x_label="particles",
-                y_label="over that of free grains", x=tuple(map(float, counts)),
+                title="ball that becomes sand: growth of sum m r^2", x_label="particles",
+                y_label="growth / growth of free grains", x=tuple(map(float, counts)),
                 y=tuple(one.spread for one in results), logarithmic=False, target=1.0,
             ) if len(results) > 1 else None,
         )  # fmt: skip

@@ -96,7 +96,8 @@ def dam(cells: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
                     " cell of an eighth of a, half of which is 3 % of where it is first read"
                 ),
                 curve=Curve(
-                    title="front of a dam that breaks", x_label="h / a", y_label="Z",
+                    title="dam break: position of the front",
+                    x_label="cell size h / column width a", y_label="position / a",
                     x=tuple(1.0 / n for n in cells), y=tuple(reached), logarithmic=False, target=Z,
                 ) if len(results) > 1 else None,
             )  # fmt: skip

@@ -99,13 +99,14 @@ def hydrostatic(cells: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
         results = [stand(n, device) for n in cells]
         finest = results[-1]
         curve = Curve(
-            title="pressure of a column at rest", x_label="h / H", y_label="error [rho g H]",
+            title="column at rest: pressure", x_label="cell size h / height H",
+            y_label="error / (rho g H)",
             x=tuple(1.0 / n for n in cells), y=tuple(one.pressure for one in results),
         )  # fmt: skip
         why = (
-            "half a percent is required. The error of the grid is of second order, .0002 with 8"
+            "half a percent is required. The error of the grid is of second order, 0.0002 with 8"
             " cells, since planes mirror; single precision adds 6e-8 of strain a substep, which is"
-            f" {SOFT:g} times as much of the pressure (.0012 with 32 cells, measured)"
+            f" {SOFT:g} times as much of the pressure (0.0012 with 32 cells, measured)"
         )
         yield Measure(
             name="pressure", value=finest.pressure, target=0.0, bound=0.005, kind=ABSOLUTE,

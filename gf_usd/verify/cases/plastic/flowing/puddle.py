@@ -97,11 +97,12 @@ def puddle(cells: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
             why="a cell is 2 tau / (rho g) with 6 cells, in which the front, pi tau / (rho g) high,"
             " is not resolved, and a column of it has a height in eighths of a cell: of the order"
             " of the cell. 3 % are not met: 1.11 with 6 cells, 1.05 with 12; with four times the"
-            " drag, so that nothing overshoots, 1.29, 1.11, 1.00, .94 with 6, 12, 18 and 24, by"
-            " other parts of the length .86 to 1.02 with 24: the theory's next order, some 10 %",
+            " drag, so that nothing overshoots, 1.29, 1.11, 1.00, 0.94 with 6, 12, 18 and 24, by"
+            " other parts of the length 0.86 to 1.02 with 24: the theory's next order, some 10 %",
             curve=Curve(
-                title="yield stress of a puddle", x_label="cell / height at the start",
-                y_label="tau by the slope / tau", x=tuple(1.0 / n for n in cells),
+                title="puddle of paste: yield stress from its slope",
+                x_label="cell size h / initial height",
+                y_label="tau from the slope / tau", x=tuple(1.0 / n for n in cells),
                 y=tuple(slopes), logarithmic=False, target=1.0,
             ) if len(results) > 1 else None,
         )  # fmt: skip
