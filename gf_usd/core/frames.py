@@ -286,6 +286,7 @@ class Health:
     penetration: float = 0.0  # [m] deepest contact sample in the floor during the frame
     overlap: float = 0.0  # [m] deepest contact sample in a body or obstacle; at least `pierced`
     overlap_pair: str | None = None  # text on the body and what it was in; None: not known
+    overlap_names: tuple[str, str] | None = None  # the two; None also where an edge is deeper
     let_go: int = 0  # most contact samples released at the same time
     friction_capped: int = 0  # contact samples that crept at the stability limit (paper friction)
     rollbacks: int = 0  # times the frame was recomputed with half the step

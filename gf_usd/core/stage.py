@@ -318,13 +318,13 @@ class ContactSetup:
             for f in range(one.frames)
         )
 
-    def pair_text(self, body: int, other: int) -> str:
-        """The prim paths of a body and of an obstacle or, with numbers after those, of a body."""
+    def pair_names(self, body: int, other: int) -> tuple[str, str]:
+        """A body, and an obstacle or, with numbers after those, a body, by their prim paths."""
         mine, walls = self.skins[body].path, len(self.colliders)
         if other < walls:
-            return f"<{mine}> and the obstacle <{self.colliders[other].path}>"
+            return f"<{mine}>", f"the obstacle <{self.colliders[other].path}>"
         theirs = "itself" if other - walls == body else f"<{self.skins[other - walls].path}>"
-        return f"<{mine}> and {theirs}"
+        return f"<{mine}>", theirs
 
     @property
     def any(self) -> bool:

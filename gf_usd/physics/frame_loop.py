@@ -35,6 +35,7 @@ class FrameStats:
     penetration: float = 0.0  # [m] deepest of a contact sample in the floor
     overlap: float = 0.0  # [m] deepest contact sample in a body or obstacle
     overlap_pair: str | None = None  # text on the body and what it was in; None: not known
+    overlap_names: tuple[str, str] | None = None  # the two, in this order
     let_go: int = 0  # largest number of contact samples released at the same time
     friction_capped: int = 0
     work: float = 0.0  # [J] work of pins and goals on the body
@@ -224,6 +225,7 @@ class Solver(ABC):
                 if (frame.health.pierced or 0.0) > stats.overlap:
                     seen["overlap"] = frame.health.pierced
                     seen["overlap_pair"] = frame.health.pierced_pair
+                    seen["overlap_names"] = None
                 health = replace(
                     frame.health, **{"substeps": done, "rollbacks": attempt, **seen}
                 )  # fmt: skip

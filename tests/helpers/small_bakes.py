@@ -25,7 +25,8 @@ HEALTH = {
     "frames", "substeps", "substeps_max_per_frame", "rollbacks", "restitution",
     "frames_without_substeps", "flying_body_frames", "sleeping_body_frames",
     "deepest_penetration_m", "deepest_penetration_spacings", "penetration_at_end_spacings",
-    "deepest_overlap_m", "deepest_overlap_spacings", "overlap_pair", "overlap_frame",
+    "deepest_overlap_m", "deepest_overlap_spacings", "overlap_pair", "overlap_names",
+    "overlap_frame",
     "released_max", "let_go_max",
     "inside_at_end_share", "inside_at_end_m", "inside_max_share", "inside_max_m",
     "outside_mesh_max_share", "outside_mesh_max_m", "outside_mesh", "outside_meshes",
@@ -45,7 +46,7 @@ FRAME = {"time_code", *Health.__dataclass_fields__, "centre", "energy", "energy_
     "plastic_dissipation", "conversion_dissipation", "converted", "inside_share", "inside_depth",
     "outside_share", "outside_depth", "outside_mesh", "expanded", "expanded_body",
     "stretched", "stretched_body",
-    "overlap_pair", "pierced", "pierced_through", "pierced_pair",
+    "overlap_pair", "overlap_names", "pierced", "pierced_through", "pierced_pair",
     "fallen", "fallen_kinetic", "lost", "flow_volume", "flow_per_cell",
 }  # fmt: skip
 ESTIMATE = {"substeps_per_frame", "estimated_seconds", "estimated_bytes", "first_contact_frame"}

@@ -146,6 +146,7 @@ def test_totals_and_extremes() -> None:
         "deepest_overlap_m": 0.0,
         "deepest_overlap_spacings": 0.0,
         "overlap_pair": None,
+        "overlap_names": None,
         "overlap_frame": None,
         "released_max": 0,
         "let_go_max": 0,
@@ -369,7 +370,7 @@ def test_every_frame_is_kept_as_plain_values() -> None:
         "inside_share", "inside_depth", "outside_share", "outside_depth", "outside_mesh",
         "expanded", "expanded_body", "stretched", "stretched_body",
         "fallen", "fallen_kinetic", "lost", "flow_volume", "flow_per_cell",
-        "overlap_pair", "pierced", "pierced_through", "pierced_pair",
+        "overlap_pair", "overlap_names", "pierced", "pierced_through", "pierced_pair",
     }  # fmt: skip
     assert set(rows[0]) == {"time_code", *expected, "centre", "energy", "energy_gain"}
     assert [row["centre"] for row in rows] == [f.center for f in frames], "until 1.0"

@@ -100,10 +100,10 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "overlap": (
         summary(Health(overlap=0.099)),
         summary(
-            Health(overlap=0.101, overlap_pair="</A> and the obstacle </B>"),
-            Health(overlap=0.05, overlap_pair="</C> and </D>"),
+            Health(overlap=0.101, overlap_names=("</A>", "the obstacle </B>")),
+            Health(overlap=0.05, overlap_names=("</C>", "</D>")),
         ),
-        "</A> and the obstacle </B> overlapped by 1 spacings (10.1 cm) at frame 1",
+        "</A> overlapped the obstacle </B> by 1 spacings (10.1 cm) at frame 1",
     ),
     "pierced": (
         summary(
@@ -290,6 +290,24 @@ def result(*healths: dict[str, Any]) -> BakeResult:
         root=Path("out/duck.usda"), report=Path("r.json"), bakes=tuple(bakes), particles=100,
         seconds=1.0, settings=settings(),
     )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("known", "sentence"),
+    [
+        ({"overlap_names": ("</A>", "itself")}, "</A> overlapped itself by 2 spacings (20 cm) at"),
+        ({}, "bodies or obstacles overlapped by 2 spacings (20 cm) at"),
+        (
+            {"overlap_pair": "the obstacle </B> is in </A>"},
+            "the obstacle </B> is in </A>, 2 spacings (20 cm) deep at",
+        ),
+    ],
+)
+def test_the_sentence_on_an_overlap_names_what_is_known(
+    known: dict[str, Any], sentence: str
+) -> None:
+    (warning,) = health_warnings(summary(Health(overlap=0.2, **known)))
+    assert warning.message.startswith(sentence)
 
 
 def test_strict_passes_what_is_sound() -> None:

@@ -78,7 +78,7 @@ def test_a_ball_that_starts_in_another_stays_calm(tmp_path: Path, other: str, de
     both = {"</World/Ball>", "</World/Below>"}
     if other == "obstacle":
         both = {"</World/Ball>", "the obstacle </World/Table>"}
-    assert set(health["overlap_pair"].split(" and ")) == both
+    assert set(health["overlap_pair"].split(" and ")) == set(health["overlap_names"]) == both
     assert 0 < health["overlap_frame"] < FRAMES
     stage = Usd.Stage.Open(str(found.root))
     mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/World/Ball"))

@@ -260,10 +260,10 @@ class BodyContact:
             self._overlap = float(depth[deepest])
             self._deepest_pair = int(self._pairs(planes)[deepest])
 
-    def deepest_pair(self) -> str | None:
-        """The prim paths of the body that was deepest since `begin`, and of what it was in."""
+    def deepest_pair(self) -> tuple[str, str] | None:
+        """The body that was deepest since `begin`, and what it was in, by their prim paths."""
         pair = self._pair_numbers.split(self._deepest_pair)
-        return self.contact_setup.pair_text(*pair) if self._deepest_pair >= 0 else None
+        return self.contact_setup.pair_names(*pair) if self._deepest_pair >= 0 else None
 
     def totals(self, state: State) -> tuple[float, float, float]:
         """Work of the obstacles [J], energy given by detections [J] and deepest overlap [m]."""

@@ -280,8 +280,8 @@ class Converting(Solver):
                     name: getattr(seen, name)
                     for name in (
                         "substeps", "rollbacks", "penetration", "overlap", "overlap_pair",
-                        "pierced", "pierced_through", "pierced_pair", "let_go", "work", "planes",
-                        "clamped", "stress_capped", "friction_capped",
+                        "overlap_names", "pierced", "pierced_through", "pierced_pair", "let_go",
+                        "work", "planes", "clamped", "stress_capped", "friction_capped",
                     )
                 },
             ),

@@ -249,12 +249,14 @@ class BothStates:
 def merged_stats(solid: FrameStats, flow: FrameStats) -> FrameStats:
     """The statistics of both solvers."""
     sums = ("let_go", "friction_capped", "work", "injected", "planes", "clamped", "stress_capped")
+    deepest = solid if solid.overlap >= flow.overlap else flow
     return replace(
         solid,
         **{name: getattr(solid, name) + getattr(flow, name) for name in sums},
         penetration=max(solid.penetration, flow.penetration),
         overlap=max(solid.overlap, flow.overlap),
-        overlap_pair=solid.overlap_pair if solid.overlap >= flow.overlap else flow.overlap_pair,
+        overlap_pair=deepest.overlap_pair,
+        overlap_names=deepest.overlap_names,
         plastic_dissipation=_sum(solid.plastic_dissipation, flow.plastic_dissipation),
         conversion_dissipation=flow.conversion_dissipation,
     )

@@ -240,12 +240,14 @@ class TotalLagrangian(Solver):
         limited = limited_particles(state.get("touched"), body.options, body.layout, body.m)
         clipped, injected = self.correction.frame(state, index)
         work, given, overlap = pairs.totals(state) if pairs else (0.0, 0.0, 0.0)
+        deepest = pairs.deepest_pair() if pairs else None
         stats = FrameStats(
             work=state.work() + work + self._work_of_fields(),
             injected=injected + given,
             planes=given,
             overlap=overlap,
-            overlap_pair=pairs.deepest_pair() if pairs else None,
+            overlap_pair=" and ".join(deepest) if deepest else None,
+            overlap_names=deepest,
             let_go=pairs.released if pairs else 0,
             clamped=int((limited["clamped"] | clipped).sum()),
             stress_capped=int(limited["stress_capped"].sum()),

@@ -232,6 +232,7 @@ class HealthLog:
         worst = self.frames[frame]
         return {
             "overlap_pair": worst.overlap_pair if worst.overlap > 0.0 else None,
+            "overlap_names": worst.overlap_names if worst.overlap > 0.0 else None,
             "overlap_frame": frame if worst.overlap > 0.0 else None,
         }
 
@@ -443,7 +444,8 @@ def merged_health(samples: Sequence[Health]) -> Health:
     worst = max(samples, key=_pierced_weight)
     for name in ("pierced", "pierced_through", "pierced_pair"):
         values[name] = getattr(worst if worst.pierced else samples[-1], name)
-    values["overlap_pair"] = max(samples, key=lambda sample: sample.overlap).overlap_pair
+    deepest = max(samples, key=lambda sample: sample.overlap)
+    values |= {"overlap_pair": deepest.overlap_pair, "overlap_names": deepest.overlap_names}
     most = max(samples, key=lambda sample: sample.expanded or 0.0)
     values |= {"expanded": most.expanded, "expanded_body": most.expanded_body}
     longest = max(samples, key=lambda sample: sample.stretched or 0.0)

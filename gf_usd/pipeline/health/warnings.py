@@ -255,10 +255,18 @@ def _overlap(h: HealthSummary) -> MessageAndHint:
         return None
     if h["deepest_overlap_m"] <= (h.get("pierced_max_m") or 0.0):
         return None  # see `_pierced`
-    pair = h.get("overlap_pair") or "bodies or obstacles"  # some solvers do not know it
+    depth = (
+        f"{rounded_text(h['deepest_overlap_spacings'])} spacings"
+        f" ({length_text(h['deepest_overlap_m'])})"
+    )
+    if names := h.get("overlap_names"):
+        fault = f"{names[0]} overlapped {names[1]} by {depth}"
+    elif pair := h.get("overlap_pair"):  # of an edge or corner: a sentence
+        fault = f"{pair}, {depth} deep"
+    else:  # some solvers do not know it
+        fault = f"bodies or obstacles overlapped by {depth}"
     return (
-        f"{pair} overlapped by {rounded_text(h['deepest_overlap_spacings'])} spacings"
-        f" ({length_text(h['deepest_overlap_m'])}) at {_frame(h, 'overlap_frame')}",
+        f"{fault} at {_frame(h, 'overlap_frame')}",
         f"{_gentler(h)}, or use more --particles; if bodies overlap at the start,"
         " move them apart in the asset",
     )

@@ -117,7 +117,7 @@ def test_tables_read_what_there_is(tmp_path: Path) -> None:
     # coarse mesh are warnings of the totals; conversion is counted in them.
     apart = {"fallen", "fallen_kinetic", "lost", "flow_volume", "converted", "flow_per_cell"}
     apart |= {"conversion_dissipation", "outside_share", "outside_depth", "outside_mesh"}
-    apart |= {"overlap_pair"}  # a name
+    apart |= {"overlap_pair", "overlap_names"}
     apart |= {"pierced", "pierced_through", "pierced_pair"}  # in every sixth frame
     apart |= {"expanded", "expanded_body", "stretched", "stretched_body"}
     assert left == {"mass", "inside_share", "inside_depth", "planes", *apart}

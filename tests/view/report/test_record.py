@@ -148,7 +148,7 @@ def test_every_key_of_a_summary_has_words():
     log = HealthLog(SETTINGS_OF_A_BAKE, spacing=0.1, drop=0.0, radius=1.0, particles=8)
     log.add(Health(mass=1.0))
     log.add(Health(mass=1.0, penetration=0.01))
-    former = {"let_go_max"}  # of released_max
+    former = {"let_go_max", "overlap_names"}  # of released_max; of overlap_pair
     assert set(log.summary()) - former <= {row.key for row in ROWS}
 
 

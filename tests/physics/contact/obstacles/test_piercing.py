@@ -118,6 +118,7 @@ def test_an_edge_that_comes_through_a_cloth_counts_as_overlap() -> None:
     assert found.pierced == pytest.approx(0.4, abs=0.5 * solver.particles.spacing)
     assert found.overlap == found.pierced
     assert found.overlap_pair == "the obstacle </Obstacle> is in <>"
+    assert found.overlap_names is None
 
 
 def test_depths_in_a_frame_and_over_frames_are_compared_alike() -> None:
