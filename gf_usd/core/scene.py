@@ -150,6 +150,7 @@ class Motion:
     """The extent of a stage over its whole time range."""
 
     bounds: Bounds | None  # None: nothing visible
+    framed: NDArray[np.float64]  # (K, 3) [m] what a picture of all of it contains; none: nothing
     up: tuple[float, float, float]  # unit
     ground: float | None  # height along up [m]
     time_codes: tuple[float, ...]  # every time with a sample, in order; empty: a still

@@ -258,13 +258,12 @@ class SideBySide:
     def _fit(self) -> Camera:
         from gf_usd.view.render.camera import fit_camera
 
-        corners = [
-            stage.motion.bounds.corners @ turn.T
+        framed = [
+            stage.motion.framed @ turn.T
             for stage, turn in zip(self._stages, (np.eye(3), self._pairing.rotation))
-            if stage.motion.bounds is not None
         ]
         aspect = self._size[0] / self._size[1]
-        return fit_camera(np.concatenate(corners), self._stages[0].motion.up, aspect)
+        return fit_camera(np.concatenate(framed), self._stages[0].motion.up, aspect)
 
 
 def _write_pictures(

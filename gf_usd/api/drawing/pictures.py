@@ -84,9 +84,9 @@ class Drawing:
         if motion.bounds is None:
             return None
         taken = min(self._legend.reserved, width // 2) if self._legend else 0
-        corners, aspect = motion.bounds.corners, (width - taken) / height
+        aspect = (width - taken) / height
         cameras = [
-            fit_camera(corners, motion.up, aspect, azimuth=azimuth, elevation=elevation)
+            fit_camera(motion.framed, motion.up, aspect, azimuth=azimuth, elevation=elevation)
             for azimuth, elevation in VIEWS
         ]
         chosen = cameras[self._unhidden(cameras, aspect)]

@@ -23,11 +23,10 @@ def draw_sweep(result: BakeResult, target: Path) -> None:
     """Write the sheet: all variants at the same times, seen by the same camera."""
     sources = [PictureStage(result.root, None, variant=bake.variant) for bake in result.bakes]
     motion = sources[0].motion
-    bounds = [one.motion.bounds for one in sources if one.motion.bounds is not None]
+    framed = np.concatenate([one.motion.framed for one in sources])
     camera = None
-    if bounds:
-        corners = np.concatenate([one.corners for one in bounds])
-        camera = fit_camera(corners, motion.up, TILE[0] / TILE[1])
+    if len(framed):
+        camera = fit_camera(framed, motion.up, TILE[0] / TILE[1])
     known = motion.time_codes
     rates = [rate for one in sources if (rate := one.speeds(known)) is not None and rate.any()]
     speeds = np.sum([rate / rate.max() for rate in rates], axis=0) if rates else None

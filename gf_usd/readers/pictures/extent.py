@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,12 @@ SAMPLED_TIMES = 48  # maximal number of evenly spaced times for the boxes of a m
 STATIC_MARGIN = (
     0.1  # around moving prims, as a fraction of their box diagonal, in which static ones count
 )
+# Largest sides of static prims that count as a whole, longest and second longest, and diagonal of
+# all of them with what moves, as multiples of the diagonal of the box of that: a bowl and the
+# handle of a brush, but no ground and no table.
+WHOLE_SIDES, WHOLE_DIAGONAL = (2.5, 1.5), 3.0
+TOUCH = 0.01  # of its diagonal: the distance at which a static prim touches another
+DIRECTIONS = 96  # of support points; no direction is 0.27 rad from all: a ball loses 4 % at most
 POINTS = ("points", "positions", "positionsh")
 HEALTH = "gaussianFlesh:health:kineticEnergy"  # has a sample at every frame of a bake
 
@@ -120,6 +127,7 @@ class MotionBoxes:
     unit: float  # [m]
     codes: Sequence[float | None]  # None: the earliest time
     by_time: Sequence[Mapping[int, Floats]]  # (2, 3) [m] of each visible prim, at each time
+    outermost: Sequence[Mapping[int, Floats]]  # (k, 3) [m] its support points, likewise
 
     def static_prims(self) -> set[int]:
         """Indices of the prims whose box is constant, and whose points have no samples over time.
@@ -153,6 +161,37 @@ class MotionBoxes:
         low, high = whole.tolist()
         return Bounds(low=tuple(low), high=tuple(high))
 
+    def outline(self) -> Floats:
+        """Points (K, 3) [m] whose convex hull a picture should contain.
+
+        They are support points of all that moves, and of static prims near it that count as a
+        whole; of all prims where none moves.
+        """
+        static = self.static_prims()
+        moving, static_boxes = _split_static(self.by_time, static)
+        whole = _whole_prims(moving, static_boxes) if moving else {*static_boxes}
+        kept = [
+            points
+            for points_now in self.outermost
+            for k, points in points_now.items()
+            if k not in static or k in whole
+        ]
+        return support_points(np.concatenate(kept)) if kept else np.zeros((0, 3))
+
+
+def support_points(points: Floats) -> Floats:
+    """Those of points (n, 3) that are farthest in one of DIRECTIONS: (k, 3), k <= DIRECTIONS."""
+    return points[np.unique((points @ _directions().T).argmax(axis=0))]
+
+
+@cache
+def _directions() -> Floats:
+    """Unit vectors (DIRECTIONS, 3), evenly spread on a Fibonacci spiral."""
+    k = np.arange(DIRECTIONS) + 0.5
+    z, turn = 1.0 - 2.0 * k / DIRECTIONS, np.pi * (1.0 + 5.0**0.5) * k
+    across = np.sqrt(1.0 - z * z)
+    return np.stack([across * np.cos(turn), across * np.sin(turn), z], axis=1)
+
 
 def _is_sampled(prim: Usd.Prim) -> bool:
     """Whether the points of a prim have several samples, as those of a simulated body."""
@@ -169,26 +208,31 @@ def motion_boxes(prims: Sequence[Usd.Prim], times: Sequence[float], unit: float)
     changing = {index for index, prim in enumerate(prims) if has_animated_visibility(prim)}
     codes += _times_of_missed_prims([prims[index] for index in sorted(changing)], codes)
     boxes: list[dict[int, Floats]] = []  # of each prim, at each time
+    outermost: list[dict[int, Floats]] = []
     for code in codes:
         time = _time_of(code)
         xforms = UsdGeom.XformCache(time)
         skins = Skins(time, xforms, Notes())
         boxes_now: dict[int, Floats] = {}
+        outermost_now: dict[int, Floats] = {}
         for index, prim in enumerate(prims):
             if index in changing and not is_visible(prim, time):
                 continue
             points = _finite_points(prim, time, xforms, skins, unit)
             if len(points):
                 boxes_now[index] = np.stack([points.min(axis=0), points.max(axis=0)])
+                outermost_now[index] = support_points(points)
         boxes.append(boxes_now)
-    return MotionBoxes(prims, unit, codes, boxes)
+        outermost.append(outermost_now)
+    return MotionBoxes(prims, unit, codes, boxes, outermost)
 
 
 def motion_bounds(prims: Sequence[Usd.Prim], times: Sequence[float], unit: float) -> Bounds | None:
     """The box [m] of the prims' points at up to SAMPLED_TIMES of the times; None without points.
 
-    If some prims move and others, such as a ground, are static, the box is that of the moving prims
-    and includes static ones only within a margin, STATIC_MARGIN times its diagonal.
+    If some prims move and others are static, the box is that of the moving prims, and of static
+    ones within a margin, STATIC_MARGIN times its diagonal: of all of them, or for large ones, such
+    as a ground, of what is in the margin.
     """
     return motion_boxes(prims, times, unit).bounds
 
@@ -220,10 +264,15 @@ def motion_box(boxes: Sequence[Mapping[int, Floats]], static: Collection[int]) -
     """
     moving, static_boxes = _split_static(boxes, static)
     if not moving:
-        return _union_of_boxes(static_boxes) if static_boxes else None
+        return _union_of_boxes([*static_boxes.values()]) if static_boxes else None
     box_of_moving, low, high = _grow_box(moving)
-    near = [box for box in static_boxes if (box[0] <= high).all() and (box[1] >= low).all()]
-    return _union_of_boxes([box_of_moving, *(np.clip(box, low, high) for box in near)])
+    whole = _whole_prims(moving, static_boxes)
+    seen = [
+        box if k in whole else np.clip(box, low, high)
+        for k, box in static_boxes.items()
+        if k in whole or _is_near(box, low, high)
+    ]
+    return _union_of_boxes([box_of_moving, *seen])
 
 
 def near_boxes(boxes: MotionBoxes, static: Collection[int]) -> list[Floats]:
@@ -232,16 +281,52 @@ def near_boxes(boxes: MotionBoxes, static: Collection[int]) -> list[Floats]:
     if not moving:
         return []
     _, low, high = _grow_box(moving)
-    return [box for box in static_boxes if (box[0] <= high).all() and (box[1] >= low).all()]
+    return [box for box in static_boxes.values() if _is_near(box, low, high)]
+
+
+def _is_near(box: Floats, low: Floats, high: Floats) -> bool:
+    """Whether a box overlaps that of low and high (3,)."""
+    return bool((box[0] <= high).all() and (box[1] >= low).all())
+
+
+def _whole_prims(moving: Sequence[Floats], static_boxes: Mapping[int, Floats]) -> set[int]:
+    """Indices of the static prims that count as a whole: those near moving ones, and then those
+    that touch them, as the handle of a brush touches its head.
+    """
+    box, low, high = _grow_box(moving)
+    diagonal = float(np.linalg.norm(box[1] - box[0]))
+    found: set[int] = set()
+    last = {k for k, own in static_boxes.items() if _is_near(own, low, high)}
+    while last:
+        for k in sorted(last):
+            union = _union_of_boxes([box, static_boxes[k]])
+            sides = np.sort(static_boxes[k][1] - static_boxes[k][0])[:0:-1]
+            fits = np.linalg.norm(union[1] - union[0]) <= WHOLE_DIAGONAL * diagonal
+            if fits and (sides <= np.multiply(WHOLE_SIDES, diagonal)).all():
+                found.add(k)
+                box = union
+            else:
+                last.discard(k)
+        last = {
+            k
+            for k, own in static_boxes.items()
+            if k not in found and any(_is_near(own, *_touching(static_boxes[j])) for j in last)
+        }
+    return found
+
+
+def _touching(box: Floats) -> Floats:
+    """A box (2, 3) grown so that it overlaps what touches it, within rounding."""
+    return box + TOUCH * float(np.linalg.norm(box[1] - box[0])) * np.array([[-1.0], [1.0]])
 
 
 def _split_static(
     boxes: Sequence[Mapping[int, Floats]], static: Collection[int]
-) -> tuple[list[Floats], list[Floats]]:
-    """The boxes of moving prims at all times, and one box of each static prim."""
+) -> tuple[list[Floats], dict[int, Floats]]:
+    """The boxes of moving prims at all times, and one box of each static prim by its index."""
     moving = [box for boxes_now in boxes for index, box in boxes_now.items() if index not in static]
     static_boxes = {k: box for boxes_now in boxes for k, box in boxes_now.items() if k in static}
-    return moving, list(static_boxes.values())
+    return moving, static_boxes
 
 
 def _grow_box(moving: Sequence[Floats]) -> tuple[Floats, Floats, Floats]:

@@ -181,6 +181,9 @@ class PictureStage:
                     self._stage_notes.add(FALLEN, path)
             self._motion = Motion(
                 bounds=bounds,
+                framed=boxes.outline()
+                if bounds is full_bounds or bounds is None
+                else bounds.corners,
                 up=(float(up[0]), float(up[1]), float(up[2])),
                 ground=self._floor_height(boxes, full_bounds, first),
                 time_codes=tuple(times),

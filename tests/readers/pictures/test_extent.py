@@ -11,10 +11,12 @@ from small_stages import CUBE, bake
 import gf_usd
 from gf_usd.core.scene import Bounds
 from gf_usd.readers.pictures.extent import (
+    DIRECTIONS,
     STATIC_MARGIN,
     frame_times,
     motion_bounds,
     sample_times,
+    support_points,
 )
 from gf_usd.readers.pictures.recording import BakedMotion
 from gf_usd.readers.pictures.scene import PictureStage
@@ -62,6 +64,66 @@ def test_what_stays_is_in_the_box_as_far_as_it_is_near_what_moves(write) -> None
     # where nothing moves all of it is shown
     static = motion_bounds([ground, far], (), 1.0)
     assert static == Bounds(low=(-50.0, -1.0, -50.0), high=(500.5, 0.5, 50.0))
+
+
+def test_a_picture_contains_all_of_an_obstacle_but_of_no_ground(write) -> None:
+    """A bowl was cut off where it was more than a tenth wider than the motion."""
+    tray = """
+def Cube "Tray" {
+    double size = 1
+    double3 xformOp:translate = (1, -0.5, 0)
+    float3 xformOp:scale = (7, 1, 3)
+    uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:scale"]
+}
+"""
+    motion = PictureStage(write(MOVING + tray)).motion
+    points = motion.framed
+    np.testing.assert_allclose(points.max(axis=0), (4.5, 4.0, 1.5))
+    np.testing.assert_allclose(points.min(axis=0), (-2.5, -1.0, -1.5))
+    assert motion.bounds is not None
+    assert motion.bounds.high[0] == 4.5
+
+
+def test_what_touches_an_obstacle_is_shown_too_if_it_is_not_large(write) -> None:
+    """Of a brush the head is below the bristles, and the handle beside the head."""
+    part = """
+def Cube "{}" {{
+    double size = 1
+    double3 xformOp:translate = ({})
+    float3 xformOp:scale = ({})
+    uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:scale"]
+}}
+"""
+    bristles = part.format("Bristles", "0, -0.5, 0", "2, 1, 2")
+    head = part.format("Head", "0, -2, 0", "2, 2, 2")
+    handle = part.format("Handle", "5.5, -2, 0", "9, 1, 1")
+    table = part.format("Table", "0, -4, 0", "12, 2, 12")
+    brush = write(MOVING + bristles + head + handle + table)
+    points = PictureStage(brush).motion.framed
+    np.testing.assert_allclose(points.min(axis=0), (-1.0, -3.0, -1.0))
+    np.testing.assert_allclose(points.max(axis=0), (10.0, 4.0, 1.0))
+
+
+def test_a_picture_of_a_motion_is_fitted_to_its_points_and_not_to_their_box(write) -> None:
+    """A body that falls along the diagonal of its box."""
+    falls = MOVING.replace("1: (0, 1, 0), 9: (0, 3, 0)", "1: (0, 1, 0), 9: (20, 21, 0)")
+    points = PictureStage(write(falls)).motion.framed
+    across = points @ (1.0, -1.0, 0.0)
+    np.testing.assert_allclose((across.min(), across.max()), (-3.0, 1.0))
+    np.testing.assert_allclose((points.min(0), points.max(0)), ((-1, 0, -1), (21, 22, 1)))
+
+
+@pytest.mark.parametrize("count", [7, 5000])
+def test_support_points_span_almost_the_hull(count: int) -> None:
+    points = np.random.default_rng(0).normal(size=(count, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    few = support_points(points)
+    assert len(few) <= DIRECTIONS
+    ways = np.random.default_rng(1).normal(size=(200, 3))
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    whole, kept = ((one @ ways.T).max(axis=0) for one in (points, few))
+    # no direction is farther than 0.27 rad from one of DIRECTIONS, whose cosine is 0.964
+    assert (kept >= whole - 0.04).all()
 
 
 def test_a_body_that_a_pin_holds_whole_is_in_the_box() -> None:
