@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -34,10 +35,18 @@ def encode(linear: Floats) -> NDArray[np.uint8]:
     A fixed dither pattern of less than one step [interleaved gradient noise, Jimenez 2014] is added
     before rounding: gradients show no bands, and the result is deterministic.
     """
-    y, x = np.mgrid[0 : linear.shape[0], 0 : linear.shape[1]]
+    codes = 255.0 * linear_to_srgb(tone(linear)) + _dither(*linear.shape[:2])[..., None]
+    np.floor(codes, out=codes)
+    return np.clip(codes, 0, 255, out=codes).astype(np.uint8)
+
+
+@lru_cache(maxsize=1)  # all frames of a film have it
+def _dither(height: int, width: int) -> NDArray[np.float64]:
+    """The dither pattern (H, W), 0 to 1."""
+    y, x = np.mgrid[0:height, 0:width]
     noise = np.modf(52.9829189 * np.modf(0.06711056 * x + 0.00583715 * y)[0])[0]
-    codes = 255.0 * linear_to_srgb(tone(linear)) + noise[..., None]
-    return np.clip(np.floor(codes), 0, 255).astype(np.uint8)
+    noise.setflags(write=False)
+    return noise
 
 
 def write_png(path: Path, pixels: NDArray[np.uint8]) -> None:

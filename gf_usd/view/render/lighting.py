@@ -30,6 +30,7 @@ UNIFORM_COUNT = 40
 
 # [texels] of a look-up of the dome, from the point itself
 TAPS = ((0.0, 0.0), (2.6, 0.9), (-0.9, 2.6), (-2.6, -0.9), (0.9, -2.6))
+FARTHEST_TAP = max(abs(offset) for tap in TAPS for offset in tap)
 STEEPEST = 0.1  # cosine of the steepest plane that is followed
 
 
@@ -51,6 +52,13 @@ def texel_visibility(depth: ti.template(), light, x, y, z):
 
 
 @ti.func
+def in_map(q, size, reach):
+    """Whether texels within `reach` of q are in the shadow map: nothing hides the others."""
+    low, high = -reach, size + reach
+    return low <= q[0] and q[0] <= high and low <= q[1] and q[1] <= high
+
+
+@ti.func
 def key_visibility(p, n, frames: ti.template(), key_count, depth: ti.template(), radius):
     """Visible fraction of the key light at p with normal n, by bilinear shadow map look-ups."""
     size = depth.shape[1]
@@ -60,6 +68,9 @@ def key_visibility(p, n, frames: ti.template(), key_count, depth: ti.template(),
     for light in range(key_count):
         if in_light_axes(frames, light, n)[2] > 0.0:
             q = to_shadow_map(frames, light, biased, radius, size)
+            if not in_map(q, size, 1.0):
+                visible, count = visible + 1.0, count + 1.0
+                continue
             z = q[2] - 0.8 * texel
             fx, fy = ti.floor(q[0] - 0.5), ti.floor(q[1] - 0.5)
             s, t = q[0] - 0.5 - fx, q[1] - 0.5 - fy
@@ -91,12 +102,15 @@ def dome_visibility(p, n, frames: ti.template(), key_count, depth: ti.template()
         if cosine > 0.0:
             q = to_shadow_map(frames, light, biased, radius, size)
             slope = texel / ti.max(cosine, STEEPEST)  # depth of the plane per texel
+            weight = cosine * frames[light, 9]
+            if not in_map(q, size, FARTHEST_TAP):
+                visible, count = visible + weight, count + weight
+                continue
             seen = 0.0
             for a, b in ti.static(TAPS):
                 x, y = ti.cast(ti.floor(q[0] + a), ti.i32), ti.cast(ti.floor(q[1] + b), ti.i32)
                 z = q[2] - 0.8 * texel + ti.min(slope * (a * normal[0] + b * normal[1]), 0.0)
                 seen += texel_visibility(depth, light - key_count, x, y, z)
-            weight = cosine * frames[light, 9]
             visible += weight * seen / ti.static(len(TAPS))
             count += weight
     return visible / ti.max(count, 1e-6)

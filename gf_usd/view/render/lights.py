@@ -8,11 +8,12 @@ the fraction of its directions that are not occluded.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gf_usd.core.arrays import Floats
+from gf_usd.core.arrays import Floats, triple
 from gf_usd.core.errors import UsageError
 from gf_usd.core.matrices import across
 from gf_usd.core.scene import Light
@@ -75,17 +76,28 @@ def make_light_rig(lights: tuple[Light, ...], view: Floats, up: Floats) -> Light
         )
     casting = [light for light in lights if light.shadows] or list(lights)
     key = casting[0]
-    directions = np.concatenate(
-        [_cone_directions(np.array(key.direction), key.angle), _dome_directions(up)]
-    )
-    # a cosine-weighted direction has a solid angle of 1 / cosine; bounded near the horizon
-    height = np.abs(directions @ up)
     return LightRig(
         key=key,
         fill=next((light for light in lights if light is not key), None),
-        frames=_light_axes(directions, 1.0 / (height + 0.1)),
+        frames=_sampled(triple(key.direction), key.angle, triple(up)),
         key_samples=KEY_SAMPLES,
     )
+
+
+@lru_cache(maxsize=1)  # the lights of a film stand still
+def _sampled(
+    direction: tuple[float, float, float], angle: float, up: tuple[float, float, float]
+) -> NDArray[np.float32]:
+    """`LightRig.frames` of a key light of half-angle `angle` [deg], and of the dome."""
+    upward = np.array(up)
+    directions = np.concatenate(
+        [_cone_directions(np.array(direction), angle), _dome_directions(upward)]
+    )
+    # a cosine-weighted direction has a solid angle of 1 / cosine; bounded near the horizon
+    height = np.abs(directions @ upward)
+    frames = _light_axes(directions, 1.0 / (height + 0.1))
+    frames.setflags(write=False)
+    return frames
 
 
 def _cone_directions(direction: Floats, angle: float) -> Floats:

@@ -169,6 +169,16 @@ def ellipsoid_point(camera: ti.template(), center: ti.template(), inverse: ti.te
     return p, n.normalized()
 
 
+@ti.func
+def is_empty(zbuffer: ti.template(), y, x, count):
+    """Whether no sample of a pixel, count x count from (x, y), has a surface."""
+    empty = True
+    for s in range(count * count):
+        if ti.cast(zbuffer[y + s // count, x + s % count] >> 32, ti.i32) != EMPTY_BITS:
+            empty = False
+    return empty
+
+
 @ti.kernel
 def shade(
     zbuffer: I64_2,
@@ -209,7 +219,17 @@ def shade(
         total = vec3(0.0)
         farthest = 0.0
         key_light, dome_light, shaded_id, shaded_normal = 0.0, 0.0, -1, vec3(0.0)
-        for s in range(oversampling * oversampling):
+        samples, first = oversampling * oversampling, 0
+        if is_empty(zbuffer, py * oversampling, px * oversampling, oversampling):
+            # the backdrop is smooth within a pixel: its center is the mean of the samples
+            sx, sy = (px + 0.5) * oversampling, (py + 0.5) * oversampling
+            a = ti.cast(2.0 * sx / zbuffer.shape[1] - 1.0, ti.f32)
+            b = ti.cast(1.0 - 2.0 * sy / zbuffer.shape[0], ti.f32)
+            d = camera_ray(camera, ti.cast(sx, ti.f64), ti.cast(sy, ti.f64))
+            color = backdrop_color(uniforms, floor, camera, d, a, b)
+            total = ti.min(color, MAX_RADIANCE) * samples
+            farthest, first = 3e38, samples
+        for s in range(first, samples):
             y = py * oversampling + s // oversampling
             x = px * oversampling + s % oversampling
             sx, sy = sample_position(x, y, camera[16])
@@ -249,5 +269,5 @@ def shade(
                 )
             total += ti.min(color, MAX_RADIANCE)
         for k in ti.static(range(3)):
-            out[py, px, k] = total[k] / (oversampling * oversampling)
+            out[py, px, k] = total[k] / samples
         depth[py, px] = farthest
