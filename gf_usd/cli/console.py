@@ -115,14 +115,17 @@ def frames_of(forecast: Mapping[str, Any]) -> str:
 
 def time_of(forecast: Mapping[str, Any]) -> str:
     """The duration of a bake as text; forecast : as of `frames_of`."""
-    from gf_usd.pipeline.cost.budget import rough_duration
+    from gf_usd.pipeline.cost.budget import rough_duration, rough_range
 
-    whole, usual = (
-        rough_duration(forecast[name]) for name in ("estimated_seconds", "usual_seconds")
+    whole, usual, most, usual_most = (
+        forecast[name]
+        for name in ("estimated_seconds", "usual_seconds", "most_seconds", "usual_most_seconds")
     )
-    if not forecast["ends_early"] or whole == usual:
-        return f"about {whole}"
-    return f"about {usual}, at most {whole}"
+    if not forecast["ends_early"] or rough_duration(whole) == rough_duration(usual):
+        return f"about {rough_range(whole, most)}"
+    about = rough_range(usual, usual_most)
+    longest = rough_duration(whole if about == rough_duration(usual) else most)
+    return f"about {about}, at most {longest}"
 
 
 def _note_line(plan: Plan, note: str) -> str:

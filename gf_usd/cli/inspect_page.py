@@ -21,6 +21,7 @@ from gf_usd.core.units import (
     volume_text,
 )
 from gf_usd.geometry.diagnosis import faults
+from gf_usd.pipeline.cost.budget import rough_range
 from gf_usd.prepare.asset_size import size
 
 if TYPE_CHECKING:
@@ -166,7 +167,8 @@ def _body(console: Console, seen: Inspection) -> None:
     for row in cost["per_material"]:
         table.add_row(
             escape(row["name"]), str(row["substeps_per_frame"]),
-            *((_duration(row["usual_seconds"]),) if early else ()), _duration(row["seconds"]),
+            *((rough_range(row["usual_seconds"], row["usual_most_seconds"]),) if early else ()),
+            rough_range(row["seconds"], row["most_seconds"]),
             bytes_text(row["memory_bytes"]), bytes_text(row["disk_bytes"]),
         )  # fmt: skip
     console.print(table)
@@ -253,9 +255,3 @@ def _lines(console: Console, what: str, lines: Sequence[str]) -> None:
         console.print(f"[dim]{what}:[/] {escape(line)}")
     if len(lines) > MOST_LINES:
         console.print(f"[dim]{what}:[/] and {len(lines) - MOST_LINES} more (--json lists all)")
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 90.0:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"

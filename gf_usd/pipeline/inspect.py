@@ -22,11 +22,15 @@ parts       poorly filled: path, shell, kind (empty | few | thin | bare region |
             a mesh cost much of the fill
 suggested_particles     a total that fills all parts that a sensible number fills, without specks
 materials   of each: name, substeps_per_frame, substeps_per_sample (between two samples of a frame),
-            substeps (expected in all), damping_ratio (of the grid's stiffest vibration),
+            substeps (expected in all), most_substeps (what they may become by contact or by
+            strain), strain_profile (substeps over those at rest, at equal intervals, of a
+            body that hangs from a pin; else empty),
+            damping_ratio (of the grid's stiffest vibration),
             critical_damping_time ([s] of all materials, with which that ratio is 1;
             0: of a fluid),
             contact_factor (substeps with contact over those without), seconds (of all frames),
-            usual_seconds (of a bake that ends at rest), flying_samples (without
+            usual_seconds (of a bake that ends at rest), most_seconds, usual_most_seconds (with
+            most_substeps), flying_samples (without
             substeps), sample_seconds, moving_seconds (of a sample without and with substeps),
             end_seconds (once all are written), disk_bytes, memory_bytes
 advice      of --material auto, for each mesh: path, material, confidence, reason, by

@@ -14,7 +14,6 @@ from gf_usd.core.frames import MIXED, sampled, written
 from gf_usd.pipeline.checkpoint import Resume, find_resume, identity
 from gf_usd.pipeline.cost.budget import (
     Cost,
-    Solvers,
     estimate,
     fall_frames,
     first_contact,
@@ -27,8 +26,10 @@ from gf_usd.pipeline.cost.forecast import (
     Stages,
     Watch,
 )
+from gf_usd.pipeline.cost.hanging import hanging
 from gf_usd.pipeline.cost.limbs import Limbs, limbs_of
 from gf_usd.pipeline.cost.shortcuts import shortcuts
+from gf_usd.pipeline.cost.solvers import Solvers
 from gf_usd.prepare.materials.mass_scaling import mass_scaled, scaled_material
 from gf_usd.prepare.options.choices import split_again
 from gf_usd.prepare.plan import Plan, Variant
@@ -72,20 +73,28 @@ class Prepared:
         surfaces = plan.asset.surfaces
         contact = None if has_driven_motion(plan) else first_contact(plan.settings, plan.drop)
         ends = plan.choices.until_rest or plan.choices.settled
+        demands = [self.solvers.demand(variant) for variant in plan.variants]
+        # bodies next to each other take substeps in flight too (`Shortcuts.take`)
+        near = any(one.touching > 1.0 for one in demands)
         return estimate(
             plan.settings,
             plan.materials,
-            [samples * self.solvers.substeps(variant) for variant in plan.variants],
+            [samples * one.substeps for one in demands],
             tables=plan.used_tables,
             particles=len(plan.particles),
             vertices=sum(len(s.points if s.splats is None else s.splats) for s in surfaces),
             paired=len(plan.samples.X) if setup and setup.any else 0,
             frame_bytes=plan.frame_bytes,
             first_contact=None if reason_not_free_fall(plan) else contact,
-            flying=flying(plan),
+            flying=0 if near else flying(plan),
             radius=0.0 if plan.held or plan.goals else plan.particles.radius,
-            damping=[self.solvers.damping(variant) for variant in plan.variants],
-            contact=[self.solvers.contact(variant) for variant in plan.variants],
+            demands=demands,
+            hangings=[
+                hanging(
+                    plan.particles, variant.table, () if plan.goals else plan.pins, plan.settings
+                )
+                for variant in plan.variants
+            ],
             crowd=bool(setup and (setup.colliders or len(setup.skins) > 1)),
             limbs=limbs(plan),
             usual=[

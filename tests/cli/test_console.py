@@ -66,11 +66,14 @@ def test_a_bake_that_ends_at_rest_has_frames_and_time_at_most() -> None:
     assert printed == ["simulating rubber: frame 10 of at most 100, at most 40 s left"]
     forecast = {
         "frames": 100, "usual_frames": 60, "estimated_seconds": 50.0, "usual_seconds": 30.0,
+        "most_seconds": 70.0, "usual_most_seconds": 44.0,
         "estimated_bytes": 2e6, "ends_early": True,
     }  # fmt: skip
     assert frames_of(forecast) == "at most 100 frames (usually about 60)"
     assert time_of(forecast) == "about 30 s, at most 50 s"
     assert disk_of(forecast) == "at most 2 MB"
+    wide = forecast | {"most_seconds": 130.0, "usual_most_seconds": 46.0}
+    assert time_of(wide) == "about 30 to 46 s, at most 2.2 minutes"
     forecast |= {"ends_early": False}
     assert (frames_of(forecast), time_of(forecast)) == ("100 frames", "about 50 s")
     assert disk_of(forecast) == "about 2 MB"

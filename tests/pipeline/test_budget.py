@@ -20,13 +20,13 @@ from gf_usd.geometry.skinning import KEPT_BYTES
 from gf_usd.pipeline.cost import budget
 from gf_usd.pipeline.cost.budget import (
     PAIR_SECONDS,
-    Solvers,
     duration,
     require_affordable,
     require_resources,
     rough_duration,
     typical_rest,
 )
+from gf_usd.pipeline.cost.solvers import Solvers
 from gf_usd.pipeline.prepared import Prepared
 from gf_usd.prepare.outputs import outputs
 from gf_usd.prepare.plan import Plan, Variant
@@ -142,7 +142,7 @@ def test_seconds_are_those_of_the_machine(
         assert here[whole] == pytest.approx(ratio * one[whole])
     for before, after in zip(one["per_material"], here["per_material"], strict=True):
         times = {name for name in before if name.endswith("seconds")}
-        assert len(times) == 5
+        assert len(times) == 7
         for name, value in before.items():
             factor = ratio if name in times else 1.0
             assert after[name] == (pytest.approx(factor * value) if name in times else value)
@@ -214,7 +214,7 @@ def test_the_requested_solver_is_used(plan: Plan) -> None:
 def test_a_solver_that_is_too_large_to_wait_is_built_again(
     plan: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(budget, "KEPT", len(plan.particles) - 1)
+    monkeypatch.setattr("gf_usd.pipeline.cost.solvers.KEPT", len(plan.particles) - 1)
     made = []
 
     def build(variant: Variant) -> Any:

@@ -127,6 +127,37 @@ def test_an_impact_of_ten_frames_is_no_surprise() -> None:
     assert made.take_remarks() == ()
 
 
+def test_contact_that_divides_substeps_counts_from_the_third_sample_on() -> None:
+    """A pot with its lid took 514 substeps where its strain required 240: forecasts were of 240."""
+    clock = Clock()
+    made = Forecast(cost(100.0), 100, 1.0, clock=clock)
+    forecasts = []
+    for k in range(50):
+        clock.now += 2.14
+        made.record_sample(0, k, 214, 100)
+        forecasts.append(clock.now + made.left)
+    # the first sample also builds the solver, and that after it is of unknown strain
+    assert forecasts[3:] == pytest.approx([214.0] * 47, rel=1e-9)
+
+
+def test_a_foreseen_stretch_is_in_the_forecast_before_it_comes() -> None:
+    """Substeps of a lamp on a cable of rubber grow from its fifth of the frames on."""
+    clock = Clock()
+    profile = [1.0, 1.0, 2.0, 4.0, 6.0, 8.0, 8.0, 6.0, 4.0, 2.0]
+    whole = cost(420.0)
+    whole["per_material"][0]["strain_profile"] = profile
+    made, known = Forecast(whole, 100, 1.0, clock=clock), []
+    for k in range(100):
+        many = round(100 * profile[max(0, k - 1) * 10 // 100])
+        clock.now += 0.01 * many
+        made.record_sample(0, k, many, round(100 * profile[min(98, k) * 10 // 100]))
+        known.append(clock.now + made.left)
+    # within the tolerance of what is announced, throughout; without the profile a quarter of it
+    assert min(known[4:]) > 420.0 / forecasts.ANNOUNCED
+    assert max(known[4:]) < 420.0 * forecasts.ANNOUNCED
+    assert made.take_remarks() == ()
+
+
 def test_a_slow_machine_is_distinguished_from_a_short_step() -> None:
     clock = Clock()
     made = Forecast(cost(100.0), 100, 1.0, clock=clock)

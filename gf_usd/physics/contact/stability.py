@@ -56,6 +56,7 @@ class PairSprings:
     span: float  # [s] until the next detection
     fall: float  # [m/s] bound of the speed gained from body forces until then
     calm: Ints  # (n,) whether a sample is of a body at rest on others, which gains no speed
+    nearly: float = NEARLY  # [spacings] gap below which a sample may be in contact until then
 
     def step_ratio(
         self, body: Body, contact: FloorContact, near: Ints, stable: float, strained: float
@@ -104,7 +105,7 @@ class PairSprings:
         their springs may harden: 1 + 3 (d / a)^2.
         """
         faces, coming = self.planes.facing, self._coming
-        touches = coming > -np.where(self.calm, CALM, NEARLY)[faces] * self.spacing
+        touches = coming > -np.where(self.calm, CALM, self.nearly)[faces] * self.spacing
         return faces[touches], 1.0 + 3.0 * self.hardening * np.maximum(coming[touches], 0.0) ** 2
 
     @cached_property

@@ -16,7 +16,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -26,65 +26,10 @@ from gf_usd.core.materials.dimensionless import time_scale
 from gf_usd.core.materials.laws import LAWS
 from gf_usd.core.materials.material import Material
 from gf_usd.core.units import bytes_text, length_text
+from gf_usd.pipeline.cost.hanging import Hanging
 from gf_usd.pipeline.cost.limbs import Limbs
-from gf_usd.prepare.plan import Variant
+from gf_usd.pipeline.cost.solvers import KEPT, Demand
 from gf_usd.system.resources import cores, free_disk, free_memory, free_swap
-from gf_usd.system.taichi_runtime import epoch
-
-if TYPE_CHECKING:
-    from gf_usd.physics.frame_loop import Solver
-
-
-KEPT = 200_000  # particles of all solvers that are kept until their bake, at 4 kB each
-
-
-class Solvers:
-    """The solvers of a bake's variants, each built once.
-
-    Building a solver is expensive, and only the solver has the number of substeps per frame. The
-    solver that is built for the estimate is therefore also used for the bake.
-
-    build : makes the solver of a variant, in its initial state.
-    particles : of each variant; keep : small solvers are kept for `take`.
-    """
-
-    def __init__(
-        self, build: Callable[[Variant], Solver], particles: int, *, keep: bool = True
-    ) -> None:
-        self._build, self._particles, self._keep = build, particles, keep
-        self._substeps: dict[str, int] = {}
-        self._damping: dict[str, float] = {}
-        self._contact: dict[str, float] = {}
-        self._kept: dict[str, tuple[Solver, int]] = {}  # with the epoch of Taichi
-
-    def substeps(self, variant: Variant) -> int:
-        """Substeps of a sample."""
-        if variant.name not in self._substeps:
-            solver = self._build(variant)
-            if self._keep and self._particles * (1 + len(self._substeps)) <= KEPT:
-                self._kept[variant.name] = solver, epoch()
-            self._substeps[variant.name] = solver.substeps
-            self._damping[variant.name] = solver.damping_ratio
-            self._contact[variant.name] = solver.contact_factor
-        return self._substeps[variant.name]
-
-    def damping(self, variant: Variant) -> float:
-        """Damping ratio that the variant's material gives the stiffest vibration of the grid."""
-        self.substeps(variant)
-        return self._damping[variant.name]
-
-    def contact(self, variant: Variant) -> float:
-        """Substeps with contact springs, relative to those that the body needs without."""
-        self.substeps(variant)
-        return self._contact[variant.name]
-
-    def take(self, variant: Variant) -> Solver:
-        """A solver in its initial state, which the caller may advance."""
-        solver, made = self._kept.pop(variant.name, (None, 0))
-        if solver is not None and made == epoch():
-            return solver
-        return self._build(variant)
-
 
 # [s] of a substep, and of each particle in it, by solver, on one thread; measured
 SUBSTEP_SECONDS = {"tl": (5e-6, 3.6e-8), "ul": (2e-6, 1.5e-7), MIXED: (3e-4, 1.8e-7)}
@@ -141,8 +86,8 @@ def estimate(
     radius: float = 0.0,
     crowd: bool = True,
     limbs: Limbs = NO_LIMBS,
-    damping: Sequence[float] = (),
-    contact: Sequence[float] = (),
+    demands: Sequence[Demand] = (),
+    hangings: Sequence[Hanging] = (),
     usual: Sequence[int] = (),
     ends_early: bool = False,
     cpu_ratio: float = 1.0,
@@ -152,6 +97,9 @@ def estimate(
     Materials are baked one after another. Disk is the sum over all materials; seconds too, except
     for the start-up, which is paid once. Memory counts every solver that is kept until its bake
     (KEPT). Seconds assume compiled kernels, and an idle machine with the CPU of `cpu_ratio`.
+    Those called most are of bodies that touch wherever they have a surface, for as much of the time
+    as neighbors do, or are stretched all the time as much as they ever are: what happens between
+    the two is only known at the end.
 
     substeps : of one frame of each material, all samples together.
     tables : the materials of all bodies, for each of `materials`; (): all bodies have that one.
@@ -164,7 +112,7 @@ def estimate(
         held.
     crowd : several bodies or obstacles can touch.
     limbs : of bodies that can touch themselves.
-    damping, contact : ratio and factor of each material, of `Solvers`; (): unknown.
+    demands : of the solver of each material, and hangings : of its bodies; (): unknown.
     usual : frames after which each material is typically at rest (`typical_rest`), for a bake that
         ends there; the seconds up to that frame are reported in addition. (): all frames are
         simulated.
@@ -176,25 +124,38 @@ def estimate(
     disk = written(settings) * frame_bytes
     waiting = min(len(materials), max(1, KEPT // n))  # solvers, which are expensive to build
     memory = _memory(settings, n * waiting, vertices, paired)
-    substep = _substep_seconds(settings, n, paired * crowd, limbs, cpu_ratio)
+    substep, detection = _substep_seconds(settings, n, paired * crowd, limbs, cpu_ratio)
     frame = cpu_ratio * _frame_seconds(settings, n, vertices)
     start = cpu_ratio * (START_SECONDS + VERTEX_SECONDS * vertices)
     law = cpu_ratio * LAW_SECONDS
     fill = cpu_ratio * PARTICLE_SECONDS * n
     moving = max(0, frames - 1 - flying)
     rows = []
-    ratios = damping or [0.0] * len(materials)
-    springs = contact or [1.0] * len(materials)
+    each_demand = demands or [Demand(substeps=count) for count in substeps]
+    each_hanging = hangings or [Hanging()] * len(materials)
     ends = [min(frames, one) for one in usual] or [frames] * len(materials)
     each_table = tables or [(material,) for material in materials]
-    for material, table, count, ratio, spring, last in zip(
-        materials, each_table, substeps, ratios, springs, ends, strict=True
+    for material, table, count, demand, hanging, last in zip(
+        materials, each_table, substeps, each_demand, each_hanging, ends, strict=True
     ):
-        many = float(count)
+        many = detected = float(count)
+        most, profile = 1.0, []
         if not settings.substeps:
-            many *= sag_factor(table, settings, radius)
-            many *= max(CROWD if paired and crowd else 1.0, 1.0 + (LIMBS - 1.0) * limbs.share)
-        work = many * substep * (FLOW if LAWS[material.law].flows else 1.0)
+            apart = CROWD if paired and crowd else 1.0
+            folds = 1.0 + (LIMBS - 1.0) * limbs.share
+            contact = demand.expected(apart, folds)
+            if max(apart, folds) > 1.0:
+                most = demand.most
+            profile = hanging.profile(demand.step, settings.frame_time * max(1, frames - 1))
+            stretched = float(np.mean(profile)) if profile else 1.0
+            sag = sag_factor(table, settings, radius)
+            expected = max(sag * contact, stretched)
+            most = max(1.0, max([sag * most, *profile]) / expected)
+            many *= expected
+            # limbs are searched as often however contact or a stretch divides the substeps
+            detected *= sag * max(apart, folds)
+        kernels = many * substep * (FLOW if LAWS[material.law].flows else 1.0)
+        work = kernels + detected * detection
         end = CHECK_SECONDS * frames * samples * frame
         seconds = start + law + fill + end
         seconds += frames * samples * frame + moving * work
@@ -205,18 +166,24 @@ def estimate(
                 "name": material.name,
                 "substeps_per_frame": count,
                 "substeps_per_sample": count / samples,
-                "damping_ratio": ratio,
+                "damping_ratio": demand.damping,
                 "critical_damping_time": critical_damping_time(
-                    settings, table, count, ratio, spring
+                    settings, table, count, demand.damping, demand.contact
                 ),
-                "contact_factor": spring,
+                "contact_factor": demand.contact,
                 "substeps": round(moving * many),
+                "most_substeps": round(moving * many * most),
+                "strain_profile": profile,
                 "flying_samples": flying * samples,
                 "sample_seconds": frame,
                 "moving_seconds": frame + work / samples,
                 "end_seconds": end,
                 "seconds": float(seconds),
                 "usual_seconds": float(seconds - less),
+                "most_seconds": float(seconds + (most - 1.0) * moving * kernels),
+                "usual_most_seconds": float(
+                    seconds - less + (most - 1.0) * max(0, min(moving, last - 1 - flying)) * kernels
+                ),
                 "disk_bytes": int(disk),
                 "memory_bytes": int(memory),
             }
@@ -227,6 +194,8 @@ def estimate(
         "substeps_per_frame": {row["name"]: row["substeps_per_frame"] for row in rows},
         "estimated_seconds": sum(row["seconds"] for row in rows) - shared,
         "usual_seconds": sum(row["usual_seconds"] for row in rows) - shared,
+        "most_seconds": sum(row["most_seconds"] for row in rows) - shared,
+        "usual_most_seconds": sum(row["usual_most_seconds"] for row in rows) - shared,
         "ends_early": ends_early,
         "cpu_ratio": cpu_ratio,
         "usual_frames": max(ends),
@@ -246,8 +215,8 @@ def _memory(settings: Settings, particles: int, vertices: int, paired: int) -> f
 
 def _substep_seconds(
     settings: Settings, particles: int, paired: int, limbs: Limbs, cpu_ratio: float
-) -> float:
-    """[s] of a substep in contact.
+) -> tuple[float, float]:
+    """[s] of a substep in contact: in kernels and in detections of limbs.
 
     paired : samples of bodies that can touch others, which the CPU detects; limbs, cpu_ratio : see
     `estimate`.
@@ -259,7 +228,7 @@ def _substep_seconds(
     seconds += cpu_ratio * CONTACT_PAIR_SECONDS * paired + (0.0 if gpu else kernels)
     if settings.solver == "tl" and settings.device == "cpu":
         seconds /= max(1, min(settings.threads or cores(), particles // ALONE))
-    return seconds + detection
+    return seconds, detection
 
 
 def _frame_seconds(settings: Settings, particles: int, vertices: int) -> float:
@@ -382,6 +351,7 @@ def critical_damping_time(
     return (stiffest.lam + 2.0 * stiffest.mu) / (w * stiffest.mu)
 
 
+WIDE = 1.5  # times an estimate, from where its largest value is stated as well
 UNITS = ((86400.0, "days"), (3600.0, "hours"), (60.0, "minutes"))  # [s]
 
 
@@ -395,6 +365,15 @@ def rough_duration(seconds: float) -> str:
     """An estimate as text: like `duration`, with a fraction only below ten."""
     count, unit = _in_units(seconds)
     return f"{count:.2g} {unit}" if unit != "s" and count < 9.95 else f"{count:.0f} {unit}"
+
+
+def rough_range(seconds: float, most: float) -> str:
+    """An estimate and its largest value as text: the former alone where they are close."""
+    low, high = rough_duration(seconds), rough_duration(most)
+    if most < WIDE * seconds or low == high:
+        return low
+    number, unit = low.split()
+    return f"{number if high.endswith(f' {unit}') else low} to {high}"
 
 
 def _in_units(seconds: float) -> tuple[float, str]:

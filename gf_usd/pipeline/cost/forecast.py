@@ -7,7 +7,9 @@ updated after every sample,
 
     remaining = samples left * (recent seconds per substep) * (substeps of the next sample)
 
-and a remark is made where the total stays much longer than last announced. Compiling kernels, as
+where the substeps of the next sample are those that its strain requires, times what recent samples
+took for each of those required: contact of bodies divides them (`physics.contact.stability`). A
+remark is made where the total stays much longer than last announced. Compiling kernels, as
 the first bakes after an installation do, counts as time spent but not in the seconds per substep.
 """
 
@@ -18,6 +20,8 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
+
+import numpy as np
 
 from gf_usd.core.errors import OutOfResources
 from gf_usd.pipeline.cost.budget import Cost, duration
@@ -76,6 +80,12 @@ class Stages:
 class _SampleCost:
     seconds: float
     substeps: int
+    required: int  # by the strain before the sample, without contact between bodies; 0: unknown
+
+    @property
+    def divided(self) -> float:
+        """Substeps for each of those required."""
+        return self.substeps / self.required if self.required else 1.0
 
 
 class Forecast:
@@ -104,6 +114,7 @@ class Forecast:
         self._at_most = bool(cost.get("ends_early"))  # the frames, and so the time, are a limit
         self._recent: deque[_SampleCost] = deque(maxlen=WINDOW)
         self._idle: deque[float] = deque(maxlen=WINDOW)  # [s] of samples without substeps
+        self._required = 0  # substeps of the next sample by its strain; 0: unknown
         self._material, self._index = -1, -1  # number of the material and of the last sample
         self._fresh = True  # before the first sample of a material, which also builds the solver
         self._compiled, self._compiles_since = 0.0, 0.0
@@ -144,7 +155,7 @@ class Forecast:
     def begin(self, material: int, index: int) -> None:
         """The next sample is the first one after number `index` of a material; -1: its first."""
         self._material, self._index, self._fresh = material, index, True
-        self._longer_since = None
+        self._longer_since, self._required = None, 0
         self._recent.clear()
         self._idle.clear()
 
@@ -169,7 +180,7 @@ class Forecast:
         """Update the forecast after a sample, and make a remark where the total has grown.
 
         material, index : number of the material and of the sample; substeps : of this sample;
-            following : expected substeps of the next one.
+            following : substeps that the strain requires of the next one.
 
         Raises OutOfResources as `require` does, but not after the last sample.
         """
@@ -180,10 +191,11 @@ class Forecast:
         if self._fresh:
             self._fresh = False
         elif substeps:
-            self._recent.append(_SampleCost(now - self._last - self._compiled, substeps))
+            took = now - self._last - self._compiled
+            self._recent.append(_SampleCost(took, substeps, self._required))
         else:
             self._idle.append(now - self._last - self._compiled)
-        self._last, self._compiled = now, 0.0
+        self._last, self._compiled, self._required = now, 0.0, following
         left = self._samples - 1 - index
         later = sum(float(row["seconds"]) for row in self._rows[material + 1 :])
         spent = now - self._began
@@ -224,9 +236,21 @@ class Forecast:
         else:
             pace = sum(s.seconds for s in self._recent) / sum(s.substeps for s in self._recent)
             many = sum(s.substeps for s in self._recent) / len(self._recent)
+            divided = sum(s.divided for s in self._recent) / len(self._recent)
             # the next sample may be a peak, and the mean may be of samples before a peak
-            each = pace * min(many, following)
+            each = pace * min(many, following * divided) * self._growth(row, index)
         return flying * idle + (left - flying) * each
+
+    def _growth(self, row: dict, index: int) -> float:
+        """Mean substeps of the remaining samples over those of the recent ones, as far as strain
+        was foreseen: that of bodies that hang (`hanging`).
+        """
+        profile = row.get("strain_profile")
+        if not profile or index >= self._samples - 1:
+            return 1.0
+        at = np.arange(1, self._samples) * len(profile) // self._samples
+        many = np.asarray(profile, float)[at]
+        return float(many[index:].mean() / many[max(0, index - len(self._recent)) : index].mean())
 
     def _message(self, material: int, whole: float, before: float, many: float) -> str:
         row = self._rows[material]
