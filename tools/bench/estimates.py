@@ -24,6 +24,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from tools.bench import estimate_assets
+
 ROOT = Path(__file__).resolve().parents[2]
 SAMPLES = ROOT / "samples"
 FACTOR, SHARE = 2.0, 0.9  # that are required
@@ -89,8 +91,15 @@ MADE: Mapping[str, Callable[[Path], None]] = {
     "cube.stl": lambda path: _mesh(path, "box", extents=(0.5, 0.5, 0.5)),
     "ring.ply": lambda path: _mesh(path, "torus", major_radius=0.4, minor_radius=0.15),
     "rod.obj": lambda path: _mesh(path, "cylinder", radius=0.1, height=1.0),
+    "lamp.usda": estimate_assets.lamp,
+    "chain.usda": estimate_assets.chain,
+    "gears.usda": estimate_assets.gears,
+    "pot.usda": estimate_assets.pot,
+    "hit.usda": estimate_assets.hit,
     "slab.glb": lambda path: _mesh(path, "box", extents=(1.0, 0.15, 0.8)),
 }
+# Those that touch themselves or each other, with kernels of their own.
+MEETING = {"chair.obj", "chain.usda", "gears.usda", "pot.usda", "hit.usda"}
 FLAT = ("--drop", "1r")
 SHORT = ("--frames", "7")
 PAIRS = (
@@ -126,6 +135,18 @@ PAIRS = (
     Pair(asset="slab.glb", preset="foam"),
     Pair(asset="chair.obj", preset="rubber", options=("--frames", "48")),
     Pair(asset="chair.obj", preset="jelly", options=("--frames", "48")),
+    Pair(
+        asset="lamp.usda",
+        preset="rubber",
+        options=("--pin", "/Asset/Lamp/Top", "--floor", "none", "--frames", "60"),
+    ),
+    Pair(asset="chain.usda", preset="rubber", options=("--pin", "/Asset/L0", "--frames", "36")),
+    Pair(
+        asset="chain.usda", preset="hard-rubber", options=("--pin", "/Asset/L0", "--frames", "10")
+    ),
+    Pair(asset="gears.usda", preset="rubber", options=(*FLAT, "--frames", "24")),
+    Pair(asset="pot.usda", preset="clay", options=(*FLAT, "--frames", "24")),
+    Pair(asset="hit.usda", preset="rubber", options=("--floor", "0", "--frames", "24")),
 )
 
 
@@ -184,7 +205,7 @@ def warm(pairs: Sequence[Pair], folder: Path) -> None:
     for pair in pairs:
         law = find_preset(pair.preset).material(0.1).law
         # Self-contact and several bodies have kernels of their own.
-        kind = law, pair.asset in {*MADE, "sphere.usda"} - {"chair.obj"}
+        kind = law, pair.asset in {*MADE, "sphere.usda"} - MEETING
         if kind not in seen:
             seen.add(kind)
             bake(Pair(asset=pair.asset, preset=pair.preset, options=("--frames", "2")), folder)
