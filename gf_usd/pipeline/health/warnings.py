@@ -437,8 +437,8 @@ def _loop(h: HealthSummary) -> MessageAndHint:
         f"after {h['loop_cycles']} cycles, the last one differs from the one before by"
         f" {length_text(h['loop_difference_m'])}, {percent_text(share)} of the radius: the loop"
         f" has a visible jump",
-        "repeat it until it is periodic (--loop), or longer, and damp the flesh (--goal-frequency,"
-        " --damping-time)",
+        "damp the flesh (--goal-frequency, --damping-time), or repeat the cycle more often"
+        f" (--loop {2 * h['loop_cycles']})",
     )
 
 
