@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -217,9 +218,8 @@ def with_shot_length(prepared: Prepared) -> Prepared:
     if work <= REST_WORK and usual <= REST_SECONDS * plan.settings.fps:
         return prepared
     obstacles = plan.contact_setup.colliders if plan.contact_setup else ()
-    moving = (
-        max((one.still_from for one in obstacles), default=0) // plan.settings.samples_per_frame
-    )
+    still_from = max((one.still_from for one in obstacles), default=0)  # a sample
+    moving = math.ceil(still_from / plan.settings.samples_per_frame)
     frames = min(max(shot_frames(plan.settings.frames), moving + 1), plan.settings.frames)
     note = (
         f"{frames} frames are simulated, not until rest, which usually takes about {usual} frames,"

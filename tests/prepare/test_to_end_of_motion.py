@@ -80,12 +80,16 @@ def test_an_obstacle_beside_a_field_counts(plan) -> None:
     assert noted(made, "201 frames are simulated, as an obstacle moves until time code 200.5:")
 
 
-def test_an_obstacle_counts_where_rest_would_take_too_long(monkeypatch, tmp_path: Path) -> None:
+@pytest.mark.parametrize("samples", [1, 2])
+def test_an_obstacle_counts_where_rest_would_take_too_long(
+    monkeypatch, tmp_path: Path, samples: int
+) -> None:
+    """Also for the fraction of a frame in which it still moves."""
     monkeypatch.setattr("gf_usd.pipeline.prepared.REST_WORK", 100.0)
     wall = mesh("Wall", LONG.replace("(0, 0, 0)", "(-5, 0, 0)"), apis=("PhysicsCollisionAPI",))
     path = tmp_path / "asset.usda"
     path.write_text(head() + mesh("One") + wall, encoding="utf-8")
-    made = gf_usd.inspect(path, particles=100).plan
+    made = gf_usd.inspect(path, particles=100, samples_per_frame=samples).plan
     assert made is not None
     assert made.settings.frames == 201
     assert noted(made, "201 frames are simulated, not until rest")
