@@ -69,7 +69,7 @@ def planes(walls: Sequence[Wall], X: Floats, origin: Floats, h: float) -> Planes
     first, last = np.full(3, -NOWHERE), np.full(3, NOWHERE)
     stuck = np.zeros(3, np.int64)
     for wall in walls:
-        index = 2.0 * (wall.at - origin[wall.axis]) / h
+        index = _half_cells(wall.at, origin[wall.axis], h)
         side = first if wall.above else last
         name = "xyz"[wall.axis]
         way = 0.5 * h * float(index - np.round(index))  # [m] from the nearest half cell
@@ -77,8 +77,8 @@ def planes(walls: Sequence[Wall], X: Floats, origin: Floats, h: float) -> Planes
             raise UsageError(
                 f"the wall at {name} = {wall.at:.6g} m does not fit the grid with cells of"
                 f" {length_text(h)}: the nearest half cell is {length_text(abs(way))} away",
-                f"place it at {name} = {wall.at - way:.9g} m, or an integer number of half cells"
-                " from there",
+                f"place it at {name} = {_shortest(wall.at - way, origin[wall.axis], h)} m, or an"
+                " integer number of half cells from there",
             )
         if abs(side[wall.axis]) != NOWHERE:
             raise UsageError(
@@ -94,3 +94,15 @@ def planes(walls: Sequence[Wall], X: Floats, origin: Floats, h: float) -> Planes
         side[wall.axis] = round(index)
         stuck[wall.axis] |= (1 if wall.above else 2) * wall.sticks
     return Planes(first=first, last=last, stuck=stuck)
+
+
+def _half_cells(at: float, origin: float, h: float) -> float:
+    """Half cells from node 0 at `origin` [m] to a plane at `at` [m], of cells of edge h [m]."""
+    return 2.0 * (at - origin) / h
+
+
+def _shortest(at: float, origin: float, h: float) -> str:
+    """The coordinate [m] of a half cell with as few digits as a wall there needs; see `planes`."""
+    texts = (f"{at:.{digits}g}" for digits in range(6, 17))
+    offsets = ((text, _half_cells(float(text), origin, h)) for text in texts)
+    return next((text for text, i in offsets if abs(i - np.round(i)) <= NEAR), f"{at:.17g}")

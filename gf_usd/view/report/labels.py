@@ -6,6 +6,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+from gf_usd.core.errors import listed_paths
 from gf_usd.core.materials.laws import law_parameters
 from gf_usd.core.units import length_text, volume_text
 
@@ -269,6 +270,8 @@ FIRST = {
     "energy_start_J", "energy_end_J", "energy_gain_max_share",
 }  # fmt: skip
 
+PATHS = {"outside_meshes"}  # rows of any number of prim paths, of which the page names a few
+
 # rows that a warning concerns, by the rules of gf_usd.pipeline.health.warnings.RULES
 MARKS: dict[str, tuple[str, ...]] = {
     "untouched": ("first_contact_frame", "shift_max_m"),
@@ -401,7 +404,8 @@ def health_rows(health: Mapping[str, Any], warned: Collection[str] = ()) -> list
     out = []
     for key in keys:
         row = known.get(key) or Row(key, _label_from_key(key), "", "")
-        text = "none" if health[key] is None else quantity(health[key], row.unit)
+        value = listed_paths(health[key]) if key in PATHS and health[key] else health[key]
+        text = "none" if value is None else quantity(value, row.unit)
         out.append(Line(row.label, text, row.meaning, key in marked, key in FIRST or key in marked))
     return out
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -107,3 +109,24 @@ def test_planes_are_counted_in_half_cells_and_move_with_the_grid() -> None:
 def test_what_is_no_wall_is_refused(walls, message) -> None:
     with pytest.raises(UsageError, match=message):
         planes(walls, np.full((2, 3), 0.5), np.zeros(3), H)
+
+
+@pytest.mark.parametrize(
+    ("at", "origin", "h"),
+    [
+        (-12300.0012345, -12345.678, 0.0041),
+        (1e6 + 0.1002, 0.3, 1e-3),
+        (0.03, 0.0, H),
+        (1.0, 0.1, 1 / 3),
+    ],
+)
+def test_a_wall_where_the_hint_places_it_is_accepted(at: float, origin: float, h: float) -> None:
+    """Nine digits were too few 12 km from zero, with cells of 4 mm."""
+    X, start = np.full((2, 3), 2e6), np.array([origin, 0.0, 0.0])
+    with pytest.raises(UsageError) as refused:
+        planes([Wall(axis=0, at=at)], X, start, h)
+    found = re.search(r"place it at x = (\S+) m", refused.value.hint)
+    assert found is not None
+    planes([Wall(axis=0, at=float(found[1]))], X, start, h)
+    if at == 0.03:
+        assert found[1] == "0.05"

@@ -128,6 +128,15 @@ def test_units_stand_with_values_and_unknown_keys_are_kept():
     assert rows == [("Density", "1\u202f100 kg/m³"), ("Friction", "not set"), ("New thing", "3")]
 
 
+@pytest.mark.parametrize(
+    ("count", "text"), [(2, "</A0>, </A1>"), (300, "</A0>, </A1>, </A2>, </A3> and 296 more")]
+)
+def test_a_page_names_a_few_of_many_meshes(count: int, text: str) -> None:
+    """Three hundred of them were in one cell."""
+    (row,) = health_rows({"outside_meshes": [f"/A{k}" for k in range(count)]})
+    assert row.value == text
+
+
 def test_rows_of_warnings_are_marked():
     health = {"min_J": -0.02, "rollbacks": 0, "energy_gain_max_J": None, "new_key": 4}
     rows = health_rows(health, {"inside-out", "not a rule"})
