@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from pxr import Usd, UsdGeom, UsdSkel
+from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.scene import Bounds, to_frame
 from gf_usd.readers.notes import Notes
+from gf_usd.readers.pictures.prims import baked_bodies
 from gf_usd.readers.usd.implicit import IMPLICIT, tessellate
 from gf_usd.readers.usd.skeleton import Skins
 from gf_usd.readers.usd.stage import SPLAT_TYPE, Placement, SkippedPrim, is_bake_particles
@@ -60,12 +61,17 @@ def frame_times(prims: Sequence[Usd.Prim]) -> list[float]:
 
     What the bodies are below may be animated at other times, and for longer.
     """
-    ancestors = {path for prim in prims for path in prim.GetPath().GetPrefixes()}
     frames: set[float] = set()
-    for path in ancestors:
-        if health := prims[0].GetStage().GetPrimAtPath(path).GetAttribute(HEALTH):
+    for prim in _with_ancestors(prims):
+        if health := prim.GetAttribute(HEALTH):
             frames.update(health.GetTimeSamples())
     return sorted(frames) or sample_times(prims)
+
+
+def _with_ancestors(prims: Sequence[Usd.Prim]) -> Iterator[Usd.Prim]:
+    """The prims and those above them, each once."""
+    for path in {path for prim in prims for path in prim.GetPath().GetPrefixes()}:
+        yield prims[0].GetStage().GetPrimAtPath(path)
 
 
 def _skeleton_times(root: Usd.Prim) -> set[float]:
@@ -130,19 +136,23 @@ class MotionBoxes:
     outermost: Sequence[Mapping[int, Floats]]  # (k, 3) [m] its support points, likewise
 
     def static_prims(self) -> set[int]:
-        """Indices of the prims whose box is constant, and whose points have no samples over time.
+        """Indices of the prims whose box is constant, and that are not bodies of a bake.
 
         A body that a pin holds whole stays where it is, but is part of the motion.
         """
+        return self._static
+
+    @cached_property
+    def _static(self) -> set[int]:
         boxes_of: dict[int, list[Floats]] = {}
         for boxes_now in self.by_time:
             for index, box in boxes_now.items():
                 boxes_of.setdefault(index, []).append(box)
-        return {
-            k
-            for k, own in boxes_of.items()
-            if all(np.array_equal(box, own[0]) for box in own) and not _is_sampled(self.prims[k])
+        constant = {
+            k for k, own in boxes_of.items() if all(np.array_equal(box, own[0]) for box in own)
         }
+        bodies = _bodies(self.prims)
+        return {k for k in constant if str(self.prims[k].GetPath()) not in bodies}
 
     def points(self, index: int, which: int) -> Floats:
         """Points (n, 3) [m] of a prim at time number `which`."""
@@ -193,10 +203,36 @@ def _directions() -> Floats:
     return np.stack([across * np.cos(turn), across * np.sin(turn), z], axis=1)
 
 
-def _is_sampled(prim: Usd.Prim) -> bool:
-    """Whether the points of a prim have several samples, as those of a simulated body."""
-    attributes = (prim.GetAttribute(name) for name in POINTS)
-    return any(one and one.GetNumTimeSamples() > 1 for one in attributes)
+def _bodies(prims: Sequence[Usd.Prim]) -> set[str]:
+    """Paths of the bodies of the bakes in a stage, and of the particles that show them.
+
+    A bake without Gaussians and points, as of meshes only, has no list of its bodies: they are the
+    prims whose points have samples in its cache.  Samples elsewhere say nothing: exporters sample
+    all meshes at every frame.
+    """
+    if not prims:
+        return set()
+    if named := baked_bodies(prims[0].GetStage()):
+        return named
+    caches = {
+        spec.layer
+        for prim in _with_ancestors(prims)
+        if (health := prim.GetAttribute(HEALTH))
+        for spec in health.GetPropertyStack()
+    }
+    return {str(prim.GetPath()) for prim in prims if _is_sampled(prim, caches)}
+
+
+def _is_sampled(prim: Usd.Prim, caches: Collection[Sdf.Layer]) -> bool:
+    """Whether the points of a prim have several samples in the cache of a bake or in its clips."""
+    if not caches:
+        return False
+    for one in filter(None, map(prim.GetAttribute, POINTS)):
+        if one.GetNumTimeSamples() > 1:
+            clips = one.GetResolveInfo().GetSource() == Usd.ResolveInfoSourceValueClips
+            if clips or any(spec.layer in caches for spec in one.GetPropertyStack()):
+                return True
+    return False
 
 
 def motion_boxes(prims: Sequence[Usd.Prim], times: Sequence[float], unit: float) -> MotionBoxes:

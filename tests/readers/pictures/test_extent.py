@@ -126,27 +126,49 @@ def test_support_points_span_almost_the_hull(count: int) -> None:
     assert (kept >= whole - 0.04).all()
 
 
-def test_a_body_that_a_pin_holds_whole_is_in_the_box() -> None:
-    """The first link of a chain was cut off: its points have samples, which are equal."""
-    points = "[(%g, 9, 0), (%g, 9, 1), (%g, 10, 1)]"
-    held = points % (0, 1, 1)
-    link = """
+HELD = "[(0, 9, 0), (1, 9, 1), (1, 10, 1)]"
+SAMPLED = f".timeSamples = {{ 1: {HELD}, 9: {HELD} }}"
+LINK = """
 def Mesh "Link" {
     int[] faceVertexCounts = [3]
     int[] faceVertexIndices = [0, 1, 2]
     point3f[] points%s
 }
 """
-    found = []
-    for value in (f".timeSamples = {{ 1: {held}, 9: {held} }}", f" = {held}"):
-        layer = Sdf.Layer.CreateAnonymous(".usda")
-        assert layer.ImportFromString("#usda 1.0\n" + MOVING + link % value)
-        stage = Usd.Stage.Open(layer)
-        box, _, _, held_link = stage.GetPseudoRoot().GetChildren()
-        bounds = motion_bounds([box, held_link], (1.0, 9.0), 1.0)
-        assert bounds is not None
-        found.append(bounds.high[1])
-    assert found == [10.0, 4.0], "what has no samples is scenery"
+NAMES = 'def Points "Particles" {\n rel gaussianFlesh:sourceMeshes = [</Link>]\n}'
+HEALTH = """over "Box" {
+    custom double gaussianFlesh:health:kineticEnergy.timeSamples = { 1: 1, 9: 0 }
+}
+"""
+
+
+def layer_of(text: str) -> Sdf.Layer:
+    layer = Sdf.Layer.CreateAnonymous(".usda")
+    assert layer.ImportFromString("#usda 1.0\n" + text)
+    return layer
+
+
+@pytest.mark.parametrize(
+    ("asset", "cache", "top"),
+    [
+        (MOVING + LINK % f" = {HELD}" + NAMES, "", 10.0),
+        (MOVING + LINK % SAMPLED, "", 4.0),
+        (MOVING + LINK % SAMPLED, HEALTH, 4.0),
+        (MOVING + LINK % f" = {HELD}", HEALTH + LINK % SAMPLED, 10.0),
+    ],
+    ids=["listed", "no bake", "of the asset", "of the cache"],
+)
+def test_a_body_that_a_pin_holds_whole_is_in_the_box(asset: str, cache: str, top: float) -> None:
+    """The first link of a chain was cut off.  Samples that are equal do not make a body: exporters
+    sample everything, and a ground of 20 m made a ball a dot.
+    """
+    stage = Usd.Stage.Open(layer_of(""))
+    kept = [layer_of(cache), layer_of(asset)]
+    stage.GetRootLayer().subLayerPaths = [layer.identifier for layer in kept]
+    prims = [stage.GetPrimAtPath(path) for path in ("/Box", "/Link")]
+    bounds = motion_bounds(prims, (1.0, 9.0), 1.0)
+    assert bounds is not None
+    assert bounds.high[1] == top
 
 
 def test_an_animation_outside_of_the_skel_root_moves_what_it_poses(tmp_path):
