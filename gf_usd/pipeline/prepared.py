@@ -36,7 +36,7 @@ from gf_usd.prepare.options.choices import split_again
 from gf_usd.prepare.plan import Plan, Variant
 from gf_usd.prepare.prepare import Refill
 from gf_usd.prepare.prepare import prepare as prepare_plan
-from gf_usd.prepare.settings import REST_SECONDS, REST_WORK, shot_frames
+from gf_usd.prepare.settings import REST_SECONDS, REST_WORK, Extension, shot_frames
 from gf_usd.system.taichi_runtime import watching
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ class Prepared:
     resume: Resume = field(default_factory=Resume)
     refill: Refill | None = None  # fills the same asset at a lower resolution; None: not needed
     warned: frozenset[str] = frozenset()  # warnings of USD that are in the plan's notes
-    until_rest: Plan | None = None  # the plan before its length was limited to a shot
+    until_rest: Plan | None = None  # the plan before its length was limited
     # Of this bake at any length, for the number of substeps alone; None: of its own length.
     shared_solvers: Solvers | None = None
 
@@ -211,11 +211,9 @@ def with_shot_length(prepared: Prepared) -> Prepared:
     """
     plan = prepared.plan
     if not plan.choices.open_end:
-        return prepared
-    rows = prepared.cost["per_material"]
-    work = max(row["substeps"] for row in rows) * len(plan.particles)
+        return _with_limited_motion(prepared)
     usual = prepared.cost["usual_frames"]
-    if work <= REST_WORK and usual <= REST_SECONDS * plan.settings.fps:
+    if _work(prepared) <= REST_WORK and usual <= REST_SECONDS * plan.settings.fps:
         return prepared
     obstacles = plan.contact_setup.colliders if plan.contact_setup else ()
     still_from = max((one.still_from for one in obstacles), default=0)  # a sample
@@ -225,15 +223,50 @@ def with_shot_length(prepared: Prepared) -> Prepared:
         f"{frames} frames are simulated, not until rest, which usually takes about {usual} frames,"
         f" at most {plan.settings.frames}; use --frames rest for that"
     )
+    return _shortened(prepared, frames, plan.notes, note)
+
+
+def _with_limited_motion(prepared: Prepared) -> Prepared:
+    """A bake that pins or obstacles make longer, limited to REST_WORK or to its default length."""
+    plan = prepared.plan
+    extension, settings = plan.extension, plan.settings
+    if extension is None or settings.frames <= extension.least:
+        return prepared
+    fitting = int(settings.frames * REST_WORK / _work(prepared))
+    if fitting >= settings.frames:
+        return prepared
+    frames = max(extension.least, fitting)
+    limited = replace(extension, limit=f"{REST_WORK / 1e9:g} billion substeps of particles")
+    notes = tuple(note for note in plan.notes if note != extension.note(settings))
+    note = limited.note(replace(settings, frames=frames))
+    return _shortened(prepared, frames, notes, note, limited)
+
+
+def _work(prepared: Prepared) -> float:
+    """Substeps of all particles in a bake."""
+    rows = prepared.cost["per_material"]
+    return max(row["substeps"] for row in rows) * len(prepared.plan.particles)
+
+
+def _shortened(
+    prepared: Prepared,
+    frames: int,
+    notes: tuple[str, ...],
+    note: str,
+    extension: Extension | None = None,
+) -> Prepared:
+    """The bake with fewer frames and a note on them, in addition to `notes`."""
+    plan = prepared.plan
     settings = replace(plan.settings, frames=frames)
     choices, notes = split_again(
-        plan.choices, plan.notes, plan.frame_bytes, written(plan.settings), written(settings)
+        plan.choices, notes, plan.frame_bytes, written(plan.settings), written(settings)
     )
     shorter = replace(
         plan,
         settings=settings,
         each=tuple(replace(one, frames=frames) for one in plan.each),
         choices=replace(choices, until_rest=False, open_end=False),
+        extension=extension,
         notes=(*notes, note),
     )
     return replace(prepared, plan=shorter, until_rest=plan)

@@ -25,6 +25,7 @@ from gf_usd.core.stage import Advice, ContactSetup, Goals, Pin
 from gf_usd.prepare.bodies.plan import BodyPlan
 from gf_usd.prepare.options.table import arguments
 from gf_usd.prepare.outputs import Outputs, SplatSequence, Stamp, Stamps
+from gf_usd.prepare.settings import Extension
 
 if TYPE_CHECKING:
     from gf_usd.geometry.repair import Repairs
@@ -87,6 +88,7 @@ class Plan:
     seen_source: Stamp = None  # of the layer of a mesh file
     command: str = ""  # that bakes the same again
     choices: Choices = field(default_factory=Choices)  # of the output
+    extension: Extension | None = None  # of its length; None: nothing moves for longer
     advice: tuple[Advice, ...] = ()  # of --material auto, one a surface
 
     @property

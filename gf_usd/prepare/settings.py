@@ -18,7 +18,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats, triple
 from gf_usd.core.asset import StageFacts, authored_rate, first_time_code
 from gf_usd.core.errors import UsageError
-from gf_usd.core.frames import CONSISTENT, LUMPED, MIXED, Field, Settings
+from gf_usd.core.frames import CONSISTENT, LUMPED, MIXED, Field, Settings, written
 from gf_usd.core.materials.dimensionless import FILTER_RATE, G0, SHOT_LENGTH, time_scale
 from gf_usd.core.stage import StageSpec
 from gf_usd.core.units import code_text, length_text
@@ -364,6 +364,31 @@ def settled_frames(shot: int) -> int:
 def shot_frames(settled: int) -> int:
     """Frames of a shot; the inverse of `settled_frames`."""
     return (settled - 1) // SETTLING + 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Extension:
+    """The number of frames of a bake of default length whose pins or obstacles move for longer."""
+
+    what: str  # moves, as words
+    until: float  # time code
+    least: int  # frames of the default length
+    needed: int  # frames until then
+    limit: str = ""  # what `needed` would take too much of; "": it does not
+
+    def note(self, settings: Settings) -> str:
+        """The note on the number of frames of these settings."""
+        frames, handles = settings.frames, -settings.first
+        made = f"{frames} frames are simulated"
+        if handles:
+            made = f"{written(settings)} frames are written, {frames} of them simulated"
+        until = f"time code {code_text(self.until)}"
+        if not self.limit:
+            return f"{made}, as {self.what} moves until {until}: --frames sets another number"
+        return (
+            f"{made}, although {self.what} moves until {until}, which would take more than"
+            f" {self.limit}; use --frames {self.needed - handles} for that"
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,7 +11,9 @@ from physics_stages import SLIDE, head, mesh, prim
 from planned import noted, planner
 
 import gf_usd
+from gf_usd.core.frames import written
 from gf_usd.prepare.plan import Plan
+from gf_usd.prepare.settings import REST_WORK
 
 LONG = SLIDE.replace("3: (4, 0, 0)", "200.5: (1, 0, 0), 250: (1, 0, 0), 260: (1, 0, 0)")
 BESIDE = LONG.replace("(0, 0, 0)", "(0.9, 0, 0)")
@@ -40,6 +42,47 @@ def test_a_given_length_stays(plan, more: dict[str, Any], frames: int) -> None:
     made = lengths(plan, mesh("One"), mesh("Handle", BESIDE), **more)
     assert made.settings.frames == frames
     assert noted(made, "as what is pinned moves") == ("handles" in more)
+
+
+def test_the_note_counts_the_frames_that_are_written(plan) -> None:
+    """It said 203 frames where the plan said 205."""
+    made = lengths(plan, mesh("One"), mesh("Handle", BESIDE), handles=2)
+    assert written(made.settings) == 205
+    assert noted(made, "205 frames are written, 203 of them simulated, as what is pinned moves")
+
+
+@pytest.mark.parametrize(("seconds", "frames"), [(5.0, 120), (0.5, 93)])
+def test_playback_limits_the_length(plan, monkeypatch, seconds: float, frames: int) -> None:
+    """A handle that turned through 20,000 samples made as many frames."""
+    monkeypatch.setattr("gf_usd.prepare.fill.shot.REST_SECONDS", seconds)
+    made = lengths(plan, mesh("One"), mesh("Handle", BESIDE))
+    assert made.settings.frames == frames, "at least those of the default length"
+    assert noted(
+        made,
+        f"{frames} frames are simulated, although what is pinned moves until time code 200.5, which"
+        f" would take more than {seconds:g} s of playback; use --frames 201 for that",
+    )
+
+
+@pytest.mark.parametrize(("times", "frames"), [(0.99, 201), (2.0, 100), (99.0, 93)])
+def test_work_limits_the_length(plan, monkeypatch, times: float, frames: int) -> None:
+    monkeypatch.setattr("gf_usd.pipeline.prepared._work", lambda prepared: times * REST_WORK)
+    made = lengths(plan, mesh("One"), mesh("Handle", BESIDE))
+    assert made.settings.frames == frames
+    (note,) = (note for note in made.notes if "frames are simulated" in note)
+    limited = (
+        f"{frames} frames are simulated, although what is pinned moves until time code 200.5, which"
+        " would take more than 20 billion substeps of particles; use --frames 201 for that"
+    )
+    assert (note == limited) == (times > 1.0)
+
+
+def test_an_obstacle_that_moves_for_longer_than_the_pin_has_the_note(plan) -> None:
+    later = LONG.replace("(0, 0, 0)", "(-5, 0, 0)").replace("200.5:", "240:")
+    wall = mesh("Wall", later, apis=("PhysicsCollisionAPI",))
+    made = lengths(plan, mesh("One"), mesh("Handle", BESIDE), wall)
+    (note,) = (note for note in made.notes if "frames are simulated" in note)
+    assert note.startswith("240 frames are simulated, as an obstacle moves until time code 240:")
 
 
 def test_the_end_of_the_stage_bounds_the_motion(plan) -> None:

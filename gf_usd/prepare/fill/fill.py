@@ -208,6 +208,7 @@ def fill(
         repeats=request.cycles.repeats,
         until_periodic=request.cycles.until_periodic,
         choices=choices,
+        extension=length.extension,
         bodies=filled.bodies,
         contact_setup=limbs.contact_setup,
         embedded_copies={**limbs.embedded_copies, **copies},

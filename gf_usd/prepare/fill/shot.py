@@ -11,14 +11,16 @@ import numpy as np
 from gf_usd.core.asset import Asset, Surface
 from gf_usd.core.frames import Settings, sampled
 from gf_usd.core.stage import Pin, StagePhysics, Triple
-from gf_usd.core.units import code_text, length_text, rounded_text
+from gf_usd.core.units import length_text, rounded_text
 from gf_usd.prepare.bodies.flesh import read_animation
 from gf_usd.prepare.bodies.sampling import SampledBodies
 from gf_usd.prepare.fill.inputs import Inputs
 from gf_usd.prepare.options.choices import own_space_notes, require_resolved
 from gf_usd.prepare.options.fields import upward_note
 from gf_usd.prepare.settings import (
+    REST_SECONDS,
     Animation,
+    Extension,
     floor_plane,
     frames_until,
     is_placed,
@@ -43,6 +45,7 @@ class Shot:
     animation: Animation | None  # that --flesh follows
     attachments: Sequence[str]  # prim paths of those that pin
     springs: Sequence[str]  # and of those that pull
+    extension: Extension | None  # of the number of frames
     notes: tuple[str, ...]
 
 
@@ -70,8 +73,8 @@ def plan_shot(
     )  # fmt: skip
     gap = float(np.dot(settings.lift, normal)) + lowest - (floor or 0.0)
     pinned = _prims_of_pins((*request.listed("pins"), *attachments, *springs), asset)
-    settings, notes = _as_long_as_they_move(settings, pinned, "what is pinned", inputs)
-    notes += upward_note(request.parsed["gravity"])
+    settings, extension = _as_long_as_they_move(settings, pinned, "what is pinned", inputs)
+    notes = upward_note(request.parsed["gravity"])
     # With several bodies some may be free, and need the floor.
     alone = filled.bodies.count == 1
     held = alone and not any(settings.lift) and (request.pins or attachments or springs)
@@ -93,6 +96,7 @@ def plan_shot(
         animation=animation,
         attachments=attachments,
         springs=springs,
+        extension=extension,
         notes=notes,
     )
 
@@ -160,32 +164,36 @@ def _prims_of_pins(names: Sequence[str], asset: Asset) -> list[str]:
 
 
 def _as_long_as_they_move(
-    settings: Settings, prims: Sequence[str], what: str, inputs: Inputs
-) -> tuple[Settings, tuple[str, ...]]:
-    """The settings with frames until prims stay, unless the length is given; and a note if they
-    are more.
+    settings: Settings,
+    prims: Sequence[str],
+    what: str,
+    inputs: Inputs,
+    before: Extension | None = None,
+) -> tuple[Settings, Extension | None]:
+    """The settings with frames until prims stay, unless the length is given.
 
-    A bake that ends sooner leaves the bodies where they are, while the prims move on.
+    A bake that ends sooner leaves the bodies where they are, while the prims move on.  REST_SECONDS
+    of playback limit it, as they limit a bake until rest.
 
-    what : name of the prims, for the note.
+    what : name of the prims, for the note; before : what has extended these settings.
     """
     request, file = inputs.request, inputs.file
     given = (request.frames, request.range, request.flesh, request.preset, request.settle_only)
     if file is None or not prims or any(given):
-        return settings, ()
+        return settings, before
     from gf_usd.readers.usd_physics.ending import end_of_motion
 
     ends = end_of_motion(file, prims, inputs.asset.facts)
     until = max(ends.values(), default=settings.start)
     step = settings.time_codes_per_second / settings.fps
-    frames = frames_until(until, settings.start, step) + (request.handles or 0)
-    if frames <= settings.frames:
-        return settings, ()
-    note = (
-        f"{frames} frames are simulated, as {what} moves until time code {code_text(until)}:"
-        " --frames sets another number"
-    )
-    return replace(settings, frames=frames), (note,)
+    needed = frames_until(until, settings.start, step) + (request.handles or 0)
+    if needed <= (before.needed if before else settings.frames):
+        return settings, before
+    least = before.least if before else settings.frames
+    frames = min(needed, max(least, int(REST_SECONDS * settings.fps)))
+    limit = f"{REST_SECONDS:g} s of playback" if frames < needed else ""
+    extension = Extension(what=what, until=until, least=least, needed=needed, limit=limit)
+    return replace(settings, frames=frames), extension
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -195,7 +203,12 @@ class Length:
     settings: Settings
     physics: StagePhysics
     open_end: bool  # the bake may end sooner, with everything at rest
-    notes: tuple[str, ...] = ()
+    extension: Extension | None = None  # of the number of frames, where the end is not open
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """On the number of frames."""
+        return () if self.extension is None else (self.extension.note(self.settings),)
 
 
 def plan_length(
@@ -212,12 +225,14 @@ def plan_length(
     changing = changes is not None and bool(changes.codes)
     driven = bool(pins or shot.springs or settings.fields) or changing
     open_end = request.length_is_open and not (falls or driven)
-    notes: tuple[str, ...] = ()
+    extension: Extension | None = None
     moved = [one.path for one in physics.colliders]
     if open_end:
         settings = replace(settings, frames=settled_frames(settings.frames))
     else:
-        settings, notes = _as_long_as_they_move(settings, moved, "an obstacle", inputs)
+        settings, extension = _as_long_as_they_move(
+            settings, moved, "an obstacle", inputs, shot.extension
+        )
     if physics.colliders and file is not None:
         every = sampled(settings)
         times = [every.time_code(i) for i in range(every.frames)]
@@ -225,9 +240,9 @@ def plan_length(
         physics = replace(moving, of_files=physics.of_files)
     if open_end and any(one.deformed is not None for one in physics.colliders):
         # its points may move for as long as there are frames
-        settings, notes = _as_long_as_they_move(shot.settings, moved, "an obstacle", inputs)
-        return Length(settings=settings, physics=physics, open_end=False, notes=notes)
-    return Length(settings=settings, physics=physics, open_end=open_end, notes=notes)
+        settings, extension = _as_long_as_they_move(shot.settings, moved, "an obstacle", inputs)
+        open_end = False
+    return Length(settings=settings, physics=physics, open_end=open_end, extension=extension)
 
 
 def _weightless(settings: Settings) -> bool:
