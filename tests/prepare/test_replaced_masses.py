@@ -6,7 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from planned import cubes, mass, planner
+from physics_stages import mesh
+from planned import at, cubes, mass, planner
 
 from gf_usd.prepare.plan import Plan
 
@@ -41,3 +42,30 @@ def test_a_density_counts_and_bodies_without_either_do_not(plan) -> None:
     (note,) = replaced(made)
     assert note.startswith("--material jelly replaces the density that the stage gives </One>:")
     assert not replaced(plan(cubes(), material="jelly"))
+
+
+@pytest.mark.parametrize(
+    ("more", "start", "end"),
+    [
+        (
+            {"preset": "paper"},
+            "--preset paper with the material rubber replaces the mass",
+            "bakes without --preset and --material keep it",
+        ),
+        (
+            {"material_sweep": "youngs=1e5:2e5:2"},
+            "--material-sweep replaces the mass",
+            "bakes without --material-sweep and --material keep it",
+        ),
+    ],
+)
+def test_options_that_imply_a_preset_are_named(plan, more, start: str, end: str) -> None:
+    """The note said to leave out --material, which was not given."""
+    (note,) = replaced(plan(cubes(HEAVY, apis=MASS), **more))
+    assert note == f"{start} that the stage gives </One>: {end}"
+
+
+def test_other_bodies_are_counted(plan) -> None:
+    made = plan(cubes(HEAVY, apis=MASS) + mesh("Far", at(9.0), HEAVY, apis=MASS), material="jelly")
+    (note,) = replaced(made)
+    assert "gives </One> and 1 more: " in note

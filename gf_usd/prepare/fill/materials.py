@@ -9,6 +9,7 @@ import numpy as np
 
 from gf_usd.core.frames import Settings
 from gf_usd.core.materials.material import Material
+from gf_usd.core.mesh import areas, signed_volume
 from gf_usd.core.stage import Pin, StagePhysics, StageSpec
 from gf_usd.prepare import paper as paper_options
 from gf_usd.prepare.bodies.contact import skins
@@ -16,6 +17,7 @@ from gf_usd.prepare.bodies.sampling import SampledBodies
 from gf_usd.prepare.fill.inputs import Inputs
 from gf_usd.prepare.materials.assign import Assigned, assign_materials
 from gf_usd.prepare.materials.checks import (
+    FallingBody,
     folding_notes,
     require_standing,
     require_weighable,
@@ -28,7 +30,13 @@ from gf_usd.prepare.materials.table import Authored
 from gf_usd.prepare.options.implied import replaced_masses, stated_values
 
 if TYPE_CHECKING:
+    from gf_usd.geometry.solid import Solid
     from gf_usd.readers.usd_bake.keys import MaterialKeys
+
+# At most, the slenderest, whose thickness is measured: 0.6 s of the 26 s that an inspection of 100
+# balls of 5,000 triangles takes.
+MEASURED_BODIES = 16
+TINY = float(np.finfo(float).tiny)
 
 
 def material_changes(inputs: Inputs) -> MaterialKeys | None:
@@ -117,7 +125,7 @@ def softness_notes(
 def mass_notes(inputs: Inputs) -> tuple[str, ...]:
     """A note where presets replace masses of the stage."""
     named = [one.name for one in inputs.presets if not isinstance(one, Authored)]
-    return replaced_masses(inputs.spec, ",".join(named)) if named else ()
+    return replaced_masses(inputs.spec, ",".join(named), inputs.request) if named else ()
 
 
 def slenderness_notes(
@@ -125,22 +133,47 @@ def slenderness_notes(
 ) -> tuple[str, ...]:
     """Notes on stiff materials of which bodies that fall onto the floor are too slender.
 
-    fall : [m] from which they do.  The shortest body is taken, with the thickness of all.
+    fall : [m] from which they do.
     """
     if settings.floor is None or fall <= 0.0 or inputs.request.flesh:
         return ()  # held, or in the floor
     gravity = abs(float(np.dot(settings.gravity, settings.normal)))
-    listed = [m for table in materials.tables for m in table]
-    stiff = [m for m in listed if stiff_in_fall(m, fall, gravity)]
-    if not stiff:
-        return ()
+    particles, solid = materials.particles, inputs.solid
+    stiff: dict[int, list[Material]] = {}  # by body
+    for body in range(filled.bodies.count):
+        mine = slice(None) if particles.body is None else np.asarray(particles.body) == body
+        used = np.unique(np.asarray(particles.material)[mine])
+        listed = [table[k] for table in materials.tables for k in used]
+        if found := [m for m in listed if stiff_in_fall(m, fall, gravity)]:
+            stiff[body] = found
+    parts = {body: solid.part(np.flatnonzero(filled.bodies.of_surface == body)) for body in stiff}
+    slenderest = sorted(parts, key=lambda body: _slenderness(parts[body]), reverse=True)
+    made = []
+    for body in slenderest[:MEASURED_BODIES]:
+        if (one := _falling_body(parts[body], stiff[body])) is not None:
+            made.append(one)
+    return folding_notes(made, fall, gravity)
+
+
+def _length(part: Solid) -> float:
+    """The longest edge [m] of the box of a body."""
+    return float((part.high - part.low).max())
+
+
+def _slenderness(part: Solid) -> float:
+    """An estimate of the length of a body over its thickness, 2 V / A as that of a plate."""
+    meshes = [(s.points, t) for s, t in zip(part.surfaces, part.triangles)]
+    volume = sum(abs(signed_volume(*mesh)) for mesh in meshes)
+    area = sum(float(areas(*mesh).sum()) for mesh in meshes)
+    return _length(part) * area / max(2.0 * volume, TINY)
+
+
+def _falling_body(part: Solid, stiff: Sequence[Material]) -> FallingBody | None:
+    """The body, named after its longest mesh; None where its thickness is not known."""
     from gf_usd.geometry.thin.thickness import thickness
 
-    solid, of = inputs.solid, filled.bodies.of_surface
-    thick = thickness(solid, of if filled.bodies.count > 1 else None)
+    thick = thickness(part)
     if thick is None:
-        return ()
-    parts = [[s for s, k in zip(solid.surfaces, of) if k == body] for body in np.unique(of)]
-    points = [np.concatenate([s.face_points for s in part]) for part in parts]
-    length = min(float(np.ptp(X, axis=0).max()) for X in points)
-    return folding_notes(stiff, length, thick.median, fall, gravity)
+        return None
+    longest = max(part.surfaces, key=lambda s: float(np.ptp(s.face_points, axis=0).max()))
+    return FallingBody(path=longest.path, length=_length(part), thick=thick.median, materials=stiff)

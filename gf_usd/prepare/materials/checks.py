@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -220,11 +221,22 @@ FOLDS = 2.0  # [rad] by which it folds a slender part: four of the samples bend 
 ADVISED = ("hard-rubber", "mild-steel")  # in its place
 
 
-def folding_notes(
-    materials: Sequence[Material], length: float, thick: float, fall: float, gravity: float
-) -> tuple[str, ...]:
+MOST_BENT = float(np.pi)  # [rad] up to which an angle is stated: larger ones mean nothing
+
+
+@dataclass(frozen=True, kw_only=True)
+class FallingBody:
+    """A body of stiff materials that falls onto the floor."""
+
+    path: str  # prim path
+    length: float  # L [m], the longest edge of its box
+    thick: float  # t [m] of most of its surface
+    materials: Sequence[Material]
+
+
+def folding_notes(bodies: Sequence[FallingBody], fall: float, gravity: float) -> tuple[str, ...]:
     """Notes on stiff materials of which slender bodies fold in a fall, although compact ones hardly
-    bend.
+    bend: one for each material, on the body that bends most.
 
     If the energy of the fall, rho g H, is stored by the strain e at the surface of a bent part,
     e^2 E / 2, its curvature 2 e / t makes an angle over its length L,
@@ -236,31 +248,36 @@ def folding_notes(
     shape.  A table and a wheel with spokes, of 2.4 to 3.3 rad, fold; gears and a tire, of 1.1 to
     1.4, do not.
 
-    length : L [m] of a body; thick : t [m] of most of its surface; fall : H [m]; gravity : [m/s^2].
+    fall : H [m]; gravity : [m/s^2].
     """
-    worst: dict[str, tuple[float, Material]] = {}
-    for material in materials:
-        angle = _angle(material, length, thick, fall, gravity)
-        if angle >= max(FOLDS, worst.get(material.name, (0.0, material))[0]):
-            worst[material.name] = angle, material
-    return tuple(
-        f"a fall of {length_text(fall)} folds {name} that is {length_text(length)} long and"
-        f" {length_text(thick)} thick, as most of the asset: its Young's modulus of"
-        f" {material.youngs_modulus:.2g} Pa bends it by about {_degrees(angle)} degrees;"
-        + " and".join(
-            f" --material {other} by {_degrees(firmer)}"
-            for other in ADVISED
-            if (firmer := _angle(PHYSICAL[other], length, thick, fall, gravity)) < 0.5 * angle
-        )
-        for name, (angle, material) in worst.items()
+    worst: dict[str, tuple[float, FallingBody, Material]] = {}
+    for body in bodies:
+        for material in body.materials:
+            angle = _angle(material, body, fall, gravity)
+            if angle >= FOLDS and (material.name not in worst or angle > worst[material.name][0]):
+                worst[material.name] = angle, body, material
+    return tuple(_folding_note(*one, fall, gravity) for one in worst.values())
+
+
+def _folding_note(
+    angle: float, body: FallingBody, material: Material, fall: float, gravity: float
+) -> str:
+    bent = f"about {_degrees(angle)}" if angle <= MOST_BENT else f"more than {_degrees(MOST_BENT)}"
+    others = ((other, _angle(PHYSICAL[other], body, fall, gravity)) for other in ADVISED)
+    firmer = [f"--material {other} by {_degrees(a)}" for other, a in others if a < FOLDS]
+    return (
+        f"a fall of {length_text(fall)} folds <{body.path}> of {material.name}, which is"
+        f" {length_text(body.length)} long and mostly {length_text(body.thick)} thick: its Young's"
+        f" modulus of {material.youngs_modulus:.2g} Pa bends it by {bent} degrees"
+        + (f"; {' and '.join(firmer)}" if firmer else "")
     )
 
 
 def _angle(
-    material: Material | PhysicalPreset, length: float, thick: float, fall: float, gravity: float
+    material: Material | PhysicalPreset, body: FallingBody, fall: float, gravity: float
 ) -> float:
     e = _strain(material.density, material.youngs_modulus, fall, gravity)
-    return 2.0 * e * length / thick
+    return 2.0 * e * body.length / body.thick
 
 
 def stiff_in_fall(material: Material, fall: float, gravity: float) -> bool:

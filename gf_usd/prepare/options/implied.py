@@ -67,8 +67,11 @@ def with_stage(request: Request, spec: StageSpec, asset: Asset) -> tuple[Request
 ON_FLOOR = 1e-3  # of the height of an asset that is less far below the floor: it stands on it
 
 
-def replaced_masses(spec: StageSpec, material: str) -> tuple[str, ...]:
-    """A note on the masses and densities of the stage that a preset of --material replaces."""
+def replaced_masses(spec: StageSpec, material: str, request: Request) -> tuple[str, ...]:
+    """A note on the masses and densities of the stage that presets replace.
+
+    material : names of the presets, which --preset paper and --material-sweep imply.
+    """
     stated: dict[str, str] = {}
     for body in spec.bodies.values():
         if body.mass is not None:
@@ -77,11 +80,16 @@ def replaced_masses(spec: StageSpec, material: str) -> tuple[str, ...]:
             stated[body.density_of] = "density"
     if not stated:
         return ()
-    first = next(iter(stated))
-    more = f" and of {len(stated) - 1} more" if len(stated) > 1 else ""
+    what, way = f"--material {material}", "leave --material out to keep it"
+    if request.material_sweep:
+        what = "--material-sweep"
+        way = "bakes without --material-sweep and --material keep it"
+    elif request.preset == "paper":
+        what = f"--preset paper with the material {material}"
+        way = "bakes without --preset and --material keep it"
+    first = stated[next(iter(stated))]
     return (
-        f"--material {material} replaces the {stated[first]} that the stage gives <{first}>{more}:"
-        " leave --material out to keep it",
+        f"{what} replaces the {first} that the stage gives {listed_paths([*stated], 1)}: {way}",
     )
 
 
