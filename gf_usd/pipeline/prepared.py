@@ -236,7 +236,7 @@ def _with_limited_motion(prepared: Prepared) -> Prepared:
     if fitting >= settings.frames:
         return prepared
     frames = max(extension.least, fitting)
-    limited = replace(extension, limit=f"{REST_WORK / 1e9:g} billion substeps of particles")
+    limited = replace(extension, limit=f"{REST_WORK / 1e9:g} billion particle substeps")
     notes = tuple(note for note in plan.notes if note != extension.note(settings))
     note = limited.note(replace(settings, frames=frames))
     return _shortened(prepared, frames, notes, note, limited)

@@ -72,7 +72,7 @@ def test_work_limits_the_length(plan, monkeypatch, times: float, frames: int) ->
     (note,) = (note for note in made.notes if "frames are simulated" in note)
     limited = (
         f"{frames} frames are simulated, although what is pinned moves until time code 200.5, which"
-        " would take more than 20 billion substeps of particles; use --frames 201 for that"
+        " would take more than 20 billion particle substeps; use --frames 201 for that"
     )
     assert (note == limited) == (times > 1.0)
 
