@@ -96,7 +96,7 @@ def pile(path: Path, folder: Path) -> None:
     place.Set(place.Get() + BACK)
     stage.GetRootLayer().Save()
     picture = draw(baked, PILE, (1400, 1000))
-    strip([picture.crop((413, 430, 1013, 830))], path)
+    strip([picture.crop((388, 550, 988, 950))], path)
 
 
 def crushed(film: Path, path: Path, folder: Path) -> None:
@@ -131,8 +131,8 @@ def crumpled(path: Path, folder: Path) -> None:
     options = ("--particles", "2500", "--frames", str(STAR[-1]), "--floor", "0", "--drop", "1.1")
     arguments = (*options, "--velocity", "0,-3,0", "-o", stage, "--quiet")
     gf_usd("bake", folder / "star.usda", "--material", "dented", *arguments)
-    pictures = [draw(stage, frame, (560, 560)) for frame in STAR]
-    strip([p.crop((80, 60, 500, 440)) for p in pictures], path)
+    pictures = [draw(stage, frame, (460, 460)) for frame in STAR]
+    strip([p.crop((0, 45, 460, 445)) for p in pictures], path)
 
 
 def flesh(goal: Path, bones: Path, folder: Path) -> None:
@@ -212,8 +212,8 @@ def draw(
 def near(picture: Image.Image, left: float, right: float) -> Image.Image:
     """The part where the duck meets the floor, between two fractions of the width."""
     width, height = picture.size
-    return picture.crop((int(left * width), int(0.46 * height), int(right * width),
-                         int(0.86 * height)))  # fmt: skip
+    return picture.crop((int(left * width), int(0.52 * height), int(right * width),
+                         int(0.97 * height)))  # fmt: skip
 
 
 def strip(pictures: Sequence[Image.Image], path: Path) -> None:
@@ -259,9 +259,9 @@ def main() -> None:
         shot = [draw(stage, frame, (480, 480)) for frame in (start, squash, rebound)]
         strip(shot, out / "duck.png")
         squashed = [draw(s, times[1], (560, 784)) for s, times in baked.values()]
-        strip([near(picture, 0.2, 0.92) for picture in squashed], out / "looks.png")
+        strip([near(picture, 0.17, 0.93) for picture in squashed], out / "looks.png")
         shown = [draw(stage, squash, (440, 770), show) for show in DISPLAYS]
-        strip([near(picture, 0.32, 1.0) for picture in shown], out / "displays.png")
+        strip([near(picture, 0.28, 0.98) for picture in shown], out / "displays.png")
         strain = draw(stage, squash, (800, 600), "mesh", "--color", "strain")
         # the part that holds the legend and the duck
         strip([strain.crop((0, 160, 800, 600))], out / "strain.png")
