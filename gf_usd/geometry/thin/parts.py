@@ -254,7 +254,7 @@ def _is_patch(solid: Solid, part: Part) -> bool:
     if np.isfinite(part.within).any():
         return False
     outer, inner = (solid.inside(X) for X in part.sides)
-    return 2 * np.count_nonzero(outer != inner) > len(outer)
+    return bool(2 * np.count_nonzero(outer != inner) > len(outer))
 
 
 def _not_enclosed(solid: Solid, parts: list[Part], corners: Sequence[Floats]) -> list[Part]:
