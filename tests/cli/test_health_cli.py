@@ -125,7 +125,7 @@ def test_what_would_take_hours_is_refused_in_seconds(gf_usd, here: Path, block: 
     assert (done.status, done.out) == (3, "")
     found = re.search(
         r"error: .+: the bake would take about (\S+) (minutes|hours|days): \d+ particles of Hard"
-        r" \(Young's modulus 1e\+13 Pa, damping time 0 s\), dropped \S+ m, need (\d+) substeps of"
+        r" \(Young's modulus 1e\+13 Pa, damping time 0 s\), dropped \S+ \S+, need (\d+) substeps of"
         r" \S+ s in each of (\d+) frames\n\nhint: .+ --max-hours (\d+) allows it",
         done.err,
     )
