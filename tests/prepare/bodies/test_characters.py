@@ -68,6 +68,17 @@ def with_arm(folder: Path, *meshes: str) -> Path:
     return write(folder, arm().rstrip().removesuffix("}") + "".join(meshes) + "}")
 
 
+def cache(folder: Path, *meshes: str) -> Path:
+    """A stage of meshes without a skeleton."""
+    path = folder / "cache.usda"
+    path.write_text(
+        '#usda 1.0\n( metersPerUnit = 1\n upAxis = "Y"\n defaultPrim = "A" )\n'
+        f'def Xform "A"\n{{{"".join(meshes)}}}\n',
+        encoding="utf-8",
+    )
+    return path
+
+
 def left_out(path: Path) -> dict[str, str]:
     """The reason for each mesh that is left out, by its name."""
     asset = read_asset(path, bind_pose=True)
@@ -107,17 +118,12 @@ def test_two_props_on_a_slab_are_not_held_by_the_character_that_stands_on_it(
 
 
 def test_beside_animated_points_meshes_that_are_not_animated_stay(tmp_path: Path) -> None:
-    path = tmp_path / "cache.usda"
-    meshes = (
+    path = cache(
+        tmp_path,
         box("Body", (1.0, 1.0, 1.0), (0.0, 0.5, 0.0), animated=True),
         box("Hat", (0.4, 0.4, 0.4), (0.0, 1.2, 0.0)),
         box("Crate", (1.0, 1.0, 1.0), (3.0, 0.5, 0.0)),
         quad("Ground", 9.0, (0.0, 0.0, 0.0)),
-    )
-    path.write_text(
-        '#usda 1.0\n( metersPerUnit = 1\n upAxis = "Y"\n defaultPrim = "A" )\n'
-        f'def Xform "A"\n{{{"".join(meshes)}}}\n',
-        encoding="utf-8",
     )
     assert left_out(path) == {
         "Crate": f"it is not animated, and {PROP}",
@@ -127,15 +133,10 @@ def test_beside_animated_points_meshes_that_are_not_animated_stay(tmp_path: Path
 
 def test_an_animated_sheet_under_a_body_is_no_ground(tmp_path: Path) -> None:
     """As a wide dress is under a head."""
-    path = tmp_path / "dress.usda"
-    meshes = (
+    path = cache(
+        tmp_path,
         box("Head", (0.4, 0.4, 0.4), (0.0, 1.0, 0.0), animated=True),
         quad("Dress", 2.0, (0.0, 0.0, 0.0), animated=True),
-    )
-    path.write_text(
-        '#usda 1.0\n( metersPerUnit = 1\n upAxis = "Y"\n defaultPrim = "A" )\n'
-        f'def Xform "A"\n{{{"".join(meshes)}}}\n',
-        encoding="utf-8",
     )
     assert left_out(path) == {}
 
