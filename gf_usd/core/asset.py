@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import unicodedata
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -180,6 +180,14 @@ class Asset:
     surfaces: tuple[Surface, ...]
     skipped: tuple[tuple[str, str], ...] = ()  # (prim path, reason) of prims that are not changed
     splats: tuple[Splats, ...] = ()  # captured Gaussians, not yet given a surface
+
+    def without(self, reasons: Mapping[str, str]) -> Asset:
+        """The asset with surfaces among the prims that are skipped.
+
+        reasons : why each is not part of what is baked, by prim path.
+        """
+        kept = tuple(s for s in self.surfaces if s.path not in reasons)
+        return replace(self, surfaces=kept, skipped=(*self.skipped, *reasons.items()))
 
 
 LATEST = 1e9  # time code: beyond, double precision leaves less than a millionth of one

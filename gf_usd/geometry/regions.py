@@ -14,7 +14,7 @@ from functools import partial
 import igl
 import numpy as np
 
-from gf_usd.core.arrays import Floats, Ints, cross
+from gf_usd.core.arrays import Floats, Ints, corners, cross
 from gf_usd.core.asset import Surface
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.core.mesh import areas, boundary_edges, weld
@@ -230,6 +230,14 @@ class Shape:
             return np.zeros(0, bool)
         w = igl.fast_winding_number(self._points, self._triangles, X - self.center)
         return np.abs(np.asarray(w).reshape(-1)) > INSIDE
+
+    def deepest(self, X: Floats) -> float:
+        """[m] largest distance from the surface of those points X (n, 3) [m] that are inside; 0
+        where none is."""
+        low, high = corners(self._points + self.center)
+        near = X[((low < X) & (high > X)).all(1)]
+        inside = near[self.encloses(near)]
+        return float(self.closest(inside)[0].max(initial=0.0))
 
 
 class _SolidPatch:

@@ -13,7 +13,7 @@ from functools import partial
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats, Ints, corners
+from gf_usd.core.arrays import Floats
 from gf_usd.core.stage import Pin, Skeleton
 from gf_usd.geometry.flesh.cores import WIDER, Cores, itself
 from gf_usd.geometry.regions import Shape
@@ -79,17 +79,8 @@ def thin_meshes(
     return [
         path
         for path in paths
-        if path in filled and (1.0 - share) * _deepest(*filled[path], X) <= WIDER * cell
+        if path in filled and (1.0 - share) * Shape(*filled[path]).deepest(X) <= WIDER * cell
     ]
-
-
-def _deepest(points: Floats, triangles: Ints, X: Floats) -> float:
-    """[m] largest depth in a mesh of those of X (n, 3) that are inside."""
-    low, high = corners(points)
-    near = X[((low < X) & (high > X)).all(1)]
-    shape = Shape(points, triangles)
-    inside = near[shape.encloses(near)] if len(near) else near
-    return float(shape.closest(inside)[0].max()) if len(inside) else 0.0
 
 
 def _held(

@@ -7,7 +7,6 @@ body would join them there.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
 from itertools import combinations, product
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from gf_usd.core.arrays import Floats, Ints, corners
+from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Asset, Surface
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.core.units import length_text
@@ -62,11 +61,8 @@ def without_props(asset: Asset, solid: Solid, file: Path, spacing: float) -> Ass
         if apart is None:
             return asset
         reasons = apart | reasons
-    out = [
-        (s.path, f"{unmoved}, and {reasons[s.path]}") for s in asset.surfaces if s.path in reasons
-    ]
-    kept = tuple(s for s in asset.surfaces if s.path not in reasons)
-    return replace(asset, surfaces=kept, skipped=(*asset.skipped, *out)) if out and kept else asset
+    out = {path: f"{unmoved}, and {reasons[path]}" for path in paths if path in reasons}
+    return asset.without(out) if 0 < len(out) < len(paths) else asset
 
 
 def _apart(
@@ -162,10 +158,7 @@ def overlap_notes(
         deepest, paths = 0.0, ("", "")
         for k, other in ((a, b), (b, a)):
             for (one, points), (two, shape) in product(starts[k].items(), shapes[other].items()):
-                low, high = corners(starts[other][two])
-                near = points[((low < points) & (high > points)).all(1)]
-                inside = near[shape.encloses(near)] if len(near) else near
-                depth = float(shape.closest(inside)[0].max()) if len(inside) else 0.0
+                depth = shape.deepest(points)
                 if depth > deepest:
                     deepest, paths = depth, (one, two) if k == a else (two, one)
         if deepest > 0.0:

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Asset, Surface, first_time_code
@@ -166,8 +165,11 @@ def _poses(asset: Asset, skeleton: Skeleton, first: int) -> Poses:
     up, anchors = asset.facts.up, np.stack([bone.anchors for bone in skeleton.bones])
     paths = np.stack([bone.path for bone in skeleton.bones], axis=1)  # (F, J, 4, 3)
     edges = (paths[:, :, 1:] - paths[:, :, :1]) @ up
-    slopes = np.einsum("jab,fjb->fja", np.linalg.inv(anchors[:, 1:] - anchors[:, :1]), edges)
+    inverse = np.linalg.inv(anchors[:, 1:] - anchors[:, :1])
+    slopes = np.einsum("jab,fjb->fja", inverse, edges)
     offsets = paths[:, :, 0] @ up - np.einsum("fja,ja->fj", slopes, anchors[:, 0])
+    turn = inverse @ (paths[first, :, 1:] - paths[first, :, :1])
+    shift = paths[first, :, 0] - np.einsum("ja,jab->jb", anchors[:, 0], turn)
     least, start = np.inf, {}
     for surface in asset.surfaces:
         if surface.path not in skeleton.weights:
@@ -176,20 +178,10 @@ def _poses(asset: Asset, skeleton: Skeleton, first: int) -> Poses:
         for slope, offset in zip(slopes, offsets, strict=True):
             heights = ((weights @ slope) * X).sum(axis=1) + weights @ offset
             least = min(least, float(heights.min(initial=np.inf)))
-        start[surface.path] = _skinned(X, weights, anchors, paths[first])
+        matrices = (weights @ turn.reshape(len(turn), 9)).reshape(-1, 3, 3)
+        start[surface.path] = np.einsum("va,vab->vb", X, matrices) + weights @ shift
     still = tuple(s.path for s in asset.surfaces if s.path not in skeleton.weights)
     return Poses(lowest=least, still=still, start=start)
-
-
-def _skinned(X: Floats, weights: Any, anchors: Floats, posed: Floats) -> NDArray[np.float64]:
-    """(V, 3) [m] points X (V, 3) [m] by linear blend skinning: see `_poses`.
-
-    weights : (V, J), sparse; anchors, posed : (J, 4, 3) [m] at rest, and posed.
-    """
-    turn = np.linalg.inv(anchors[:, 1:] - anchors[:, :1]) @ (posed[:, 1:] - posed[:, :1])
-    shift = posed[:, 0] - np.einsum("ja,jab->jb", anchors[:, 0], turn)
-    matrices = (weights @ turn.reshape(len(turn), 9)).reshape(-1, 3, 3)
-    return np.asarray(np.einsum("va,vab->vb", X, matrices) + weights @ shift)
 
 
 def _of_character(

@@ -67,10 +67,7 @@ def without_rooms(asset: Asset, *, repair: bool, bodies: Collection[str] = ()) -
             filled.remove(k)
     if not found:
         return asset
-    kept = tuple(s for s in asset.surfaces if s.path not in found)
-    return replace(
-        asset, surfaces=kept, skipped=(*asset.skipped, *((path, ROOM) for path in found))
-    )
+    return asset.without(dict.fromkeys(found, ROOM))
 
 
 def without_room_parts(asset: Asset, *, repair: bool, bodies: Collection[str] = ()) -> Asset:
@@ -84,8 +81,7 @@ def without_room_parts(asset: Asset, *, repair: bool, bodies: Collection[str] = 
     out = [part for room in sorted(rooms) for part in parts.get(room, (room,))]
     if not out:
         return asset
-    kept = tuple(s for s in asset.surfaces if s.path not in out)
-    return replace(asset, surfaces=kept, skipped=(*asset.skipped, *((path, ROOM) for path in out)))
+    return asset.without(dict.fromkeys(out, ROOM))
 
 
 def _convex(surface: Surface, volume: float) -> bool:
@@ -111,10 +107,8 @@ def without_scenery(asset: Asset, solid: Solid) -> tuple[Asset, Solid]:
     found = scenery_of(asset, solid)
     if not found:
         return asset, solid
-    kept = tuple(s for s in asset.surfaces if s.path not in found)
-    skipped = (*asset.skipped, *found.items())
     left = tuple(one for one in solid.embedded if one[0] not in found)
-    return replace(asset, surfaces=kept, skipped=skipped), replace(solid, embedded=left)
+    return asset.without(found), replace(solid, embedded=left)
 
 
 def scenery_of(asset: Asset, solid: Solid) -> dict[str, str]:

@@ -36,11 +36,7 @@ def read_stage_spec(
             f"{asset.facts.path}: the stage excludes every mesh from the bake:\n{listed}",
             "name the mesh to bake with --prim",
         )
-    asset = replace(
-        asset,
-        surfaces=tuple(s for s in asset.surfaces if s.path not in out),
-        skipped=(*asset.skipped, *out.items()),
-    )
+    asset = asset.without(out)
     physics = read_motion(asset, file, rest=rest, times=(), elastic=elastic)
     met = {one.path: _obstacle(one.role) for one in physics.colliders}
     asset = replace(asset, skipped=tuple((p, met.get(p, why)) for p, why in asset.skipped))
