@@ -7,7 +7,7 @@ spacing where only the number of particles is given.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -45,11 +45,12 @@ def thicken_to_count(
     in the grid.  The spacing is None where nothing is thickened or nothing can be filled.
     """
     wanted = min(particles, COUNTED)
+    shells = _shells_by_surface(asset)
     best: tuple[float, float] | None = None  # error, and the number to request
     tried, least = float(wanted), None
     low, high = 0.0, np.inf  # requested numbers that give too few, too many
     for _ in range(TRIES):
-        filled, done = thicken_asset(asset, repairs, spacing=None, particles=round(tried))
+        filled, done = _thickened(asset, repairs, shells, spacing=None, particles=round(tried))
         thick = sum(one.thickened for one in done)
         if least is None:
             least = thick
@@ -71,9 +72,10 @@ def thicken_to_count(
         if not low < tried < high:  # a sheet then crosses one more layer of cells
             tried = float(np.sqrt(low * high))
     if best is None:
-        return *thicken_asset(asset, repairs, spacing=None, particles=particles), None
+        filled, done = _thickened(asset, repairs, shells, spacing=None, particles=particles)
+        return filled, done, None
     tried = best[1] * particles / wanted
-    filled, done = thicken_asset(asset, repairs, spacing=None, particles=round(tried))
+    filled, done = _thickened(asset, repairs, shells, spacing=None, particles=round(tried))
     thickness = max(one.thickness for one in done)
     return filled, done, thickness / LAYER if thickness else None
 
@@ -89,11 +91,28 @@ def thicken_asset(
     asset : repaired by `repair_asset`.
     spacing : [m]; None: chosen so that about `particles` fill the asset.
     """
-    mine = [k for k, s in enumerate(asset.surfaces) if s.splats is None and len(s.triangles)]
-    seen = [shells_of(asset.surfaces[k]) for k in mine]
-    a, chosen = choose_shells(seen, spacing, particles)
+    shells = _shells_by_surface(asset)
+    return _thickened(asset, repairs, shells, spacing=spacing, particles=particles)
+
+
+def _shells_by_surface(asset: Asset) -> dict[int, Shells]:
+    """The shells of each mesh with faces, by its row in `Asset.surfaces`."""
+    meshes = ((k, s) for k, s in enumerate(asset.surfaces) if s.splats is None)
+    return {k: shells_of(s) for k, s in meshes if len(s.triangles)}
+
+
+def _thickened(
+    asset: Asset,
+    repairs: Sequence[Repairs],
+    shells: Mapping[int, Shells],
+    *,
+    spacing: float | None,
+    particles: int,
+) -> tuple[Asset, tuple[Repairs, ...]]:
+    """`thicken_asset` of known shells."""
+    a, chosen = choose_shells(list(shells.values()), spacing, particles)
     surfaces, done = list(asset.surfaces), list(repairs)
-    for k, one, which in zip(mine, seen, chosen):
+    for (k, one), which in zip(shells.items(), chosen):
         surfaces[k], thick = _thicken(surfaces[k], one, which, LAYER * a)
         left = int((one.sheet * (1 - one.enclosed)).sum()) - int(one.sheet @ thick)
         done[k] = replace(
@@ -323,10 +342,12 @@ def shells_of(surface: Surface) -> Shells:
     solid = triangles[sheet[label] == 0]
     if len(solid):
         held[(sheet == 0) & (volume < 0.0)] = 1
-        for k in np.flatnonzero(sheet):
-            corners = np.unique(triangles[rows[k]])
-            probes = points[corners[:: max(1, len(corners) // PROBES)]]
-            held[k] = winding.winding_inside(points, solid, probes).all()
+        if len(sheets := np.flatnonzero(sheet)):
+            corners = [np.unique(triangles[rows[k]]) for k in sheets]
+            probes = [c[:: max(1, len(c) // PROBES)] for c in corners]
+            start = np.cumsum([0, *map(len, probes[:-1])])
+            inside = winding.winding_inside(points, solid, points[np.concatenate(probes)])
+            held[sheets] = np.logical_and.reduceat(inside, start)
     return Shells(
         triangles=triangles, source=source, label=label, area=area, volume=volume, sheet=sheet,
         rim=rim, enclosed=held,

@@ -7,10 +7,17 @@ import pytest
 from solids import asset, cube, joined, moebius, sphere, surface
 
 from gf_usd.core.mesh import boundary_edges
+from gf_usd.geometry import winding
 from gf_usd.geometry.repair import repair_asset
 from gf_usd.geometry.sampling.particles import count_particles, sample_solid
 from gf_usd.geometry.solid import build_solid
-from gf_usd.geometry.thin.thicken import LAYER, offsets, thicken_asset, thicken_to_count
+from gf_usd.geometry.thin.thicken import (
+    LAYER,
+    offsets,
+    shells_of,
+    thicken_asset,
+    thicken_to_count,
+)
 
 
 def sheet(n: int = 1, edge: float = 1.0, wave: float = 0.0, at=(0.0, 0.0, 0.0), path="/Sheet"):
@@ -142,6 +149,17 @@ def test_what_is_too_small_or_in_flesh_stays_as_it_is() -> None:
     same, (done,) = thickened(within, spacing=0.1)
     assert same.surfaces[0] is within
     assert (done.thickened, done.thin_left) == (0, 0)
+
+
+def test_sheets_near_a_solid_share_one_hierarchy_of_winding_numbers(monkeypatch) -> None:
+    sheets = [sheet(n=2, edge=0.3, at=(2.0 + i, 0.0, 0.0)) for i in range(5)]
+    within = sheet(n=2, edge=0.3)
+    made = []
+    build = winding.winding_hierarchy
+    monkeypatch.setattr(winding, "winding_hierarchy", lambda *a: made.append(a) or build(*a))
+    seen = shells_of(joined(sphere(), within, *sheets))
+    assert seen.enclosed.tolist() == [0, 1, 0, 0, 0, 0, 0]
+    assert len(made) == 1
 
 
 @pytest.mark.slow
