@@ -169,7 +169,7 @@ def _install_packages(client: Client, folder: Path) -> None:
 def find_python(version: str | None, named: list[str]) -> str:
     """A Python program of a version, for example "3.13".
 
-    Looks at those that are named, at this one, on PATH, and where pyenv and uv keep theirs.
+    Tries those that are named, this one, those on PATH, and those of pyenv and uv.
 
     Raises NotInstalled where there is none.
     """

@@ -172,7 +172,7 @@ def members(made: type) -> Iterator[str]:
 
 
 def cell(text: str) -> str:
-    """What stands in a cell of a table."""
+    """The text of a cell of a table."""
     return plain(text).replace("\n", " ").replace("|", "\\|")
 
 

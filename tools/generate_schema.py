@@ -74,7 +74,7 @@ def filled_plug_info(text: str) -> str:
     for placeholder, value in PLACEHOLDERS.items():
         text = text.replace(placeholder, value)
     if left := re.findall(r"@[A-Z_]+@", text):
-        raise SystemExit(f"plugInfo.json: placeholders that this tool does not know: {left}")
+        raise SystemExit(f"plugInfo.json: unknown placeholders: {left}")
     return text
 
 

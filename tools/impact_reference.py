@@ -25,7 +25,7 @@ TIMES = 0.02, 0.04, 0.06, 0.08  # [ms]
 STRETCH = 3.0  # how much longer the elements at the top are than those at the foot
 SAFETY = 0.5
 CORNERS = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], float)
-EVERY = 10  # steps between looks at the stable step
+EVERY = 10  # steps between evaluations of the stable step
 
 
 def mesh(n: int) -> tuple[np.ndarray, np.ndarray]:

@@ -5,7 +5,7 @@
 Bakes samples into a temporary folder, draws frames with ``gf-usd preview`` and joins them:
 
     duck.png     the start of the fall, the hardest squash, the top of the rebound
-    looks.png    rubber, metal and jelly, each at its hardest squash in the first bounce
+    looks.png    rubber, metal and jelly, each at maximum compression in the first bounce
     displays.png one frame as mesh, Gaussians, ellipsoids and points
     strain.png   the squash, colored by strain
     drop.gif     the drop as a film, five times slower than real

@@ -131,7 +131,7 @@ GIVEN = re.compile(
     rf"({OPTION.pattern})(?: (auto|none|-?\d+(?:\.\d+)?(?:e[+-]?\d+)?)(?![\w:%/]|[.,]\s?-?\d))?"
 )
 WITHOUT = ("floor", "clamp", "stress_cap", "limits")  # are False where the command line has "none"
-# Where a hint can be cut: an aside in parentheses, and alternatives.
+# Where a hint can be cut: text in parentheses, and alternatives.
 ASIDE = re.compile(r"\s*\([^()]*\)")
 CLAUSES = re.compile(r"(; |, or |, )")
 

@@ -164,7 +164,7 @@ def find_files(patterns: Sequence[str], folder: Path, where: str) -> tuple[Path,
     for pattern in patterns:
         if not isinstance(pattern, str) or not pattern:
             raise UsageError(
-                f"{where}: {pattern!r} is no file", 'give paths or patterns: ["models/*.usda"]'
+                f"{where}: {pattern!r} is not a file", 'give paths or patterns: ["models/*.usda"]'
             )
     found: dict[Path, None] = {}
     for pattern in patterns:
@@ -198,7 +198,7 @@ def skipped_files(patterns: Sequence[str], folder: Path) -> tuple[str, ...]:
             if not match.is_file() and (asset or not match.is_dir()):
                 what = "a folder" if match.is_dir() else "no regular file"
                 why = what if match.exists() else "a link to a file that does not exist"
-                notes.append(f"{match} is passed over: it is {why}")
+                notes.append(f"{match} is skipped: it is {why}")
     return tuple(dict.fromkeys(notes))
 
 

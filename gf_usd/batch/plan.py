@@ -162,7 +162,7 @@ def _fit(text: str) -> str:
 def _require_distinct_files(jobs: Sequence[Job]) -> None:
     """Raise UsageError where two jobs write the same file.
 
-    Jobs that read one mesh file in the same way share its layer.
+    Jobs that read one mesh file with the same options share its layer.
     """
     owners: dict[Path, tuple[Any, Job]] = {}
     for job in jobs:

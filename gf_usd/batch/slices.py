@@ -18,7 +18,7 @@ from gf_usd.core.errors import UsageError
 from gf_usd.prepare.options.texts import parse_frames
 from gf_usd.prepare.outputs import interrupted, outputs
 
-SETTLED = ("failed", "refused", "unsound")  # another slice would end in the same way
+SETTLED = ("failed", "refused", "unsound")  # another slice would end the same
 NOT_ATTEMPTED = ("stopped", "busy")
 PART = re.compile(r"([1-9]\d*)/([1-9]\d*)")
 

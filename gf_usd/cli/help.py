@@ -175,7 +175,7 @@ def in_range(param: Any) -> bool:
 
 
 def _row(param: Any, ctx: Any) -> tuple[str, str] | None:
-    """A flag with its value, and its help; brackets around a default in words are removed."""
+    """A flag with its value, and its help; brackets around a default that is text are removed."""
     record = param.get_help_record(ctx)
     if record is None:
         return None

@@ -21,7 +21,7 @@ EXTRA = re.compile(r"unexpected extra arguments?(?:\(s\))? \((.*)\)$")
 def usage_message(error: Any, command: str = "gf-usd") -> str:
     """A fault of usage with its hint; without an argument the help of the command is all.
 
-    command : that was called, where the parser's error does not tell.
+    command : that was called, where the parser's error does not contain it.
     """
     context = error.ctx
     command = context.command_path if context is not None else command

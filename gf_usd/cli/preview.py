@@ -180,7 +180,7 @@ def draw(
 
 @contextmanager
 def progress() -> Iterator[Callable[[int, int], None]]:
-    """A bar on a terminal, a plain line every tenth of the way elsewhere; both on stderr."""
+    """A bar on a terminal, elsewhere a line after each tenth of the frames; both on stderr."""
     if not sys.stderr.isatty():
 
         def plain(done: int, total: int) -> None:

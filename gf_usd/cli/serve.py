@@ -223,7 +223,7 @@ def bake_by_server(
 
 
 def _tell(event: Mapping[str, Any]) -> None:
-    """Notes, and the progress at every tenth of the way, on stderr."""
+    """Notes, and the progress after each tenth of the frames, on stderr."""
     if event["event"] == "note":
         typer.echo(f"note: {event['message']}", err=True)
     elif event["event"] == "frame":
@@ -257,5 +257,5 @@ def failure(ended: Mapping[str, Any], last: Mapping[str, Mapping[str, Any]]) -> 
         )
         return f"error: the process of the bake was ended by {signal_name(status)}{hint}"
     # Python's message of an unexpected exception is the last line
-    told = (ended["log"].strip().splitlines() or ["it says nothing"])[-1]
+    told = (ended["log"].strip().splitlines() or ["no output"])[-1]
     return f"error: the process of the bake ended with status {status}: {told}"

@@ -27,7 +27,7 @@ READERS = (
     "gf_usd.readers.usd.asset",
     "gf_usd.readers.usd_bake.spec",
 )
-SCHEMA = "gf_usd.system.usd_schema"  # importing it starts threads of USD, unless switched off
+SCHEMA = "gf_usd.system.usd_schema"  # importing it starts threads of USD, unless disabled
 MOST_JOBS = 100  # commands of one process
 MOST_MEMORY = 2 << 30  # [bytes] that are in use between two commands
 

@@ -238,7 +238,7 @@ def authored_rate(facts: StageFacts) -> float | None:
 
 
 LARGEST = 1e31  # of any number: single precision still holds a box around it
-BRIGHTEST = 1e4  # a coefficient is held to this: turned ones are written in half precision
+BRIGHTEST = 1e4  # a coefficient is clipped to this: rotated ones are written in half precision
 
 
 @dataclass(frozen=True, kw_only=True)

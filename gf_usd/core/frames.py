@@ -328,7 +328,7 @@ class Health:
 
     @property
     def dissipation(self) -> float:
-        """[J] lost in the frame in the ways that are measured: plastic flow and settling."""
+        """[J] dissipated in the frame by plastic flow and settling, which are measured."""
         return (self.plastic_dissipation or 0.0) + (self.settling_dissipation or 0.0)
 
 

@@ -214,7 +214,7 @@ class Edges:
 
 
 class Welded:
-    """Welded triangles without collapsed ones, and what their edges tell, each worked out once.
+    """Welded triangles without collapsed ones, and quantities of their edges, each computed once.
 
     representative : (V,) see `weld`; triangles : (T, 3).
     """

@@ -169,7 +169,7 @@ class BodyPhysics:
     path: str  # Surface.path
     role: str = ""  # "" | static | kinematic | dynamic, as in UsdPhysics
     owner: str = ""  # the rigid or deformable body prim that it belongs to; empty: none
-    collides: bool = True  # False: its own collision is switched off
+    collides: bool = True  # False: its own collision is disabled
     mass: float | None = None  # [kg] of all baked surfaces with the same mass_of together
     mass_of: str = ""  # the prim that states the mass
     mass_attribute: str = field(default="", compare=False)  # of that prim
@@ -414,7 +414,7 @@ class FleshLimits:
     carried : X (n, 3) [m] at rest -> (frame -> (n, 3) [m] positions by the motion of the bone
     alone, and (n, 3) unit directions from the bone to these).
     toward, away : X (n, 3) [m] at rest -> (n,) [m] from `carried` against that direction, and from
-    the pose of the goals; inf: any way.
+    the pose of the goals; inf: any distance.
     """
 
     carried: Callable[[Floats], Callable[[float], tuple[Floats, Floats]]]

@@ -94,7 +94,7 @@ def sample_as_played(
 ) -> None:
     """Author samples of an attribute in a layer: USD's interpolation at the times of the bake.
 
-    Animated obstacles of the source are resampled in the same way, since bodies collide with the
+    Animated obstacles of the source are resampled too, since bodies collide with the
     interpolated shape. path : of the samples, which can be in a variant.
     """
     values, power = [], RATES.get(attribute.GetName(), 0)

@@ -131,7 +131,7 @@ def with_shapes(body: BodyMotion, tolerance: float, most: int) -> Rig | None:
 
 
 def with_single_joints(rig: Rig) -> Rig:
-    """Each Gaussian on the joint that alone leaves it least far off in its worst frame."""
+    """Each Gaussian on the one joint with the smallest largest error over the frames."""
     if rig.skinning is None:
         return rig  # rigid: all follow the root
     skin, found = rig.skinning, []

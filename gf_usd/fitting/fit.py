@@ -210,7 +210,7 @@ def _search_and_report(
         raise BakeError(
             f"{request.asset}: in no simulation with values within the bounds do the targets "
             f"occur: {', '.join(target.name for target in targets)}",
-            "look at a bake with --material first; try more --frames, another --drop or other "
+            "inspect a bake with --material first; try more --frames, another --drop or other "
             "--bounds",
         ) from error
     intervals = uncertainty(
@@ -257,7 +257,7 @@ def _result_notes(
             f"relative weight, and the intervals are computed from the residuals"
         )
     notes += [
-        f"{fitted.name} is {abs(deviation):.3g} standard deviations off: it contradicts the other "
+        f"{fitted.name} is {abs(deviation):.3g} standard deviations away: it contradicts the other "
         "targets, or no material within the bounds reaches it"
         for fitted, target in zip(reproduced_targets, targets)
         if isinstance(target, Number)

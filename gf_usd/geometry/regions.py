@@ -177,7 +177,7 @@ def _as_near(patch: Shape, whole: Shape, solid: Solid, slack: float, X: Floats) 
     """(n,) whether a patch is nearest to X (n, 3) [m], up to some slack [m], of a whole surface,
     and X is not in other surfaces of the solid only.
 
-    Which surface is nearest does not tell where surfaces touch: both are equally near.
+    Where surfaces touch, the nearest one is ambiguous: both are equally near.
     """
     out = np.asarray(patch.closest(X)[0] <= whole.closest(X)[0] + slack)
     near = np.flatnonzero(out)

@@ -176,7 +176,7 @@ def _instances_above(stage: Usd.Stage, path: Sdf.Path) -> list[Sdf.Path]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    # USD warns on the terminal of each ignored target; they are looked for here to be put right
+    # USD warns on the terminal of each ignored target; they are found here and corrected
     delegate = UsdUtils.CoalescingDiagnosticDelegate()
     try:
         yield

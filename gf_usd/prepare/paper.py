@@ -53,7 +53,7 @@ def of_material(
 
 
 def notes(settings: Settings, material: str = "") -> tuple[str, ...]:
-    """What the options do to a bake, in words; material: whose, where there are several."""
+    """What the options do to a bake, as text; material: whose, where there are several."""
     lines = []
     if settings.wls:
         lines.append(

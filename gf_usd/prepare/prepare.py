@@ -105,7 +105,7 @@ def prepare(
     require_utf8(source)
     target = None if output is None else str(output)
     again = {"overwrite": overwrite, "resume": resume}
-    # what is in the way of the results is found before the asset is read, where they have names
+    # existing results are found before the asset is read, where their names are known
     targets = _targets(source, presets, target, request, **again) if presets else None
     with reading(source, limits, request, presets, prims, meters_per_unit, up_axis) as read:
         # In parallel; a device that is not there is found out before the file is judged.

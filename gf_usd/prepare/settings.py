@@ -104,7 +104,7 @@ def _require_inside(
         )
     if last < first:
         raise UsageError(
-            f"{option} holds no frame: frames are at {code_text(start)} + k * {step:g}",
+            f"{option} contains no frame: frames are at {code_text(start)} + k * {step:g}",
             "give a range with a frame in it",
         )
     if frames is not None and last > frames - 1:

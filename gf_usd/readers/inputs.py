@@ -126,7 +126,7 @@ def _all_packed(stage: Usd.Stage) -> Iterator[tuple[str, str]]:
 
 
 def _packed(prim: Usd.Prim) -> Iterator[tuple[str, str]]:
-    """What of a prim refers to a file that goes into a package, in words, and the file's path."""
+    """The property of a prim that refers to a packaged file, as text, and the file's path."""
     for key, value in prim.GetAllAuthoredMetadata().items():
         if key == "assetInfo":  # of its files a package has only the names: `shorten_info`
             value = {name: inner for name, inner in value.items() if isinstance(inner, dict)}

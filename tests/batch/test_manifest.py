@@ -101,8 +101,8 @@ def test_json_says_the_same(folder: Path) -> None:
         ('timeout = 0\n[[assets]]\nfiles = ["a.usd"]', "timeout is 0"),
         ('retries = inf\n[[assets]]\nfiles = ["a.usd"]', "retries is inf"),
         ('retries = 1.5\n[[assets]]\nfiles = ["a.usd"]', "retries is 1.5"),
-        ("[[assets]]\nfiles = [1]", "assets 1: 1 is no file"),
-        ('[[assets]]\nfiles = ["a.usd", ""]', "assets 1: '' is no file"),
+        ("[[assets]]\nfiles = [1]", "assets 1: 1 is not a file"),
+        ('[[assets]]\nfiles = ["a.usd", ""]', "assets 1: '' is not a file"),
         ('settings = 3\n[[assets]]\nfiles = ["a.usd"]', "settings is 3"),
     ],
 )  # fmt: skip

@@ -98,8 +98,8 @@ def test_what_a_pattern_matches_and_is_no_file_is_reported(
     done = gf_usd("batch", "models/*", "--dry-run")
     assert done.status == 0
     assert [line for line in done.err.splitlines() if line.startswith("note: ")] == [
-        f"note: {models / 'folder.usda'} is passed over: it is a folder",
-        f"note: {models / 'gone.usda'} is passed over: it is a link to a file that does not exist",
-        f"note: {models / 'pipe.usda'} is passed over: it is no regular file",
+        f"note: {models / 'folder.usda'} is skipped: it is a folder",
+        f"note: {models / 'gone.usda'} is skipped: it is a link to a file that does not exist",
+        f"note: {models / 'pipe.usda'} is skipped: it is no regular file",
     ]
     assert "a.rubber" in done.out

@@ -74,7 +74,7 @@ def test_what_is_held_follows_the_source_and_the_rest_swings(arm: Path, pin: str
 def test_pins_and_floors_that_do_nothing_are_refused(arm: Path) -> None:
     for options, message in (
         ({"pins": ["box:900,0,0,901,1,1"]}, "does not touch the asset"),
-        ({"pins": ["/Arm/Bar"]}, "hold all"),
+        ({"pins": ["/Arm/Bar"]}, "contain all"),
         ({"pins": ["/Arm/Bra"]}, "there is no prim"),
         ({"pins": ["box:1,2"]}, "is not a box"),
         ({"floor": "1,1"}, "floor is"),

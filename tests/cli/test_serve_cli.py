@@ -63,7 +63,7 @@ def test_without_a_server_it_is_refused(gf_usd: Call, block: Path, path: Path) -
         (-signal.SIGKILL, "note: parts\n", "was ended by SIGKILL\n\nhint: the system kills"),
         (-signal.SIGSEGV, "note: parts\n", "was ended by SIGSEGV"),
         (1, "note: parts\nKeyError: 'x'\n", "ended with status 1: KeyError: 'x'"),
-        (1, "", "ended with status 1: it says nothing"),
+        (1, "", "ended with status 1: no output"),
     ],
 )
 def test_a_bake_that_dies_is_reported_without_its_notes(status: int, log: str, told: str) -> None:

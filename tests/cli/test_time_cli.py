@@ -155,7 +155,7 @@ def test_range_handles_and_samples_together(baked) -> None:
         (("--range", "105:90"), "--range is '105:90'"),
         (("--range", "7"), "--range is '7'"),
         (("--range", "a:b"), "--range is 'a:b'"),
-        (("--range", "101.2:101.8"), "--range 101.2:101.8 holds no frame"),
+        (("--range", "101.2:101.8"), "--range 101.2:101.8 contains no frame"),
         (("--range", "101:120", "--frames", "5"), "ends after the last of --frames 5, at time"),
         (("--handles", "-1"), "--handles is -1"),
         (("--samples-per-frame", "0"), "--samples-per-frame is 0"),

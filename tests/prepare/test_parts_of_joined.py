@@ -293,7 +293,7 @@ def test_a_mesh_of_a_flowing_body_is_not_pinned(tmp_path: Path, region: str) -> 
         prepare(both, particles=400, drop="0", frames=3, pins=(region,))
     everything = prepare(both, particles=400, drop="0", frames=3, pins=("/World",)).plan
     assert everything.pins[0].bodies == {0, 1}
-    with pytest.raises(InputError, match="the pins /World hold all"):
+    with pytest.raises(InputError, match="the pins /World contain all"):
         solver_of(everything, everything.variants[0])
 
 

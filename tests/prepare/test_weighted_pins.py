@@ -64,7 +64,7 @@ def test_the_default_floor_does_not_cut_through_what_is_pinned(
     seen = gf_usd.inspect(SAMPLES / "sphere.usda", pins=[top], particles=300, **options)
     assert seen.plan is not None
     assert seen.plan.settings.floor == floor
-    note = "the asset is held where it is, 1 m below height 0: there is no floor; floor adds one"
+    note = "the pinned asset reaches 1 m below height 0, so there is no floor; floor adds one"
     assert (note in seen.plan.notes) == (floor is None)
 
 

@@ -145,7 +145,7 @@ def openjd(folder: Path, seeds: int) -> list[Claim]:
 
 
 SMALL, LARGE = "8m", "2g"  # of the disk: first it holds about twenty results
-FULL = 3  # jobs that fail for the disk before it is given room
+FULL = 3  # jobs that fail because the disk is full before space is freed
 PORT = 28786
 
 
@@ -196,7 +196,7 @@ def local(folder: Path, seeds: int) -> list[Claim]:
 
 
 def _full_disk_kill_and_term(found: Run, event: Event, out: Path, enlarge) -> None:
-    """Give the disk room once it was full, then kill a bake, then end the batch."""
+    """Free disk space once it was full, then kill a bake, then end the batch."""
     if event["event"] not in ("started", "finished"):
         return
     full = [e for e in found.ended("failed", "refused") if "space" in json.dumps(e)]

@@ -256,7 +256,7 @@ def _line(name: str, group: Sequence[Row]) -> str:
 
 
 def outcome(rows: Sequence[Row]) -> Outcome:
-    """What the intervals came to, for the page."""
+    """The results of the intervals, for the page."""
     known = [row for row in rows if row.value is not None]
     holds = sum(row.holds for row in known)
     width = statistics.median([row.width for row in known] or [math.nan])

@@ -49,7 +49,7 @@ RUNS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Lasted:
-    """What a run came to."""
+    """The result of a run."""
 
     name: str
     frames: int  # that were had

@@ -111,7 +111,7 @@ def judge(folder: Path) -> str:
 
 
 def resume(folder: Path, whole: Path) -> str:
-    """Go on to the end; what differs from the bake in one go, "" if nothing does."""
+    """Resume to the end; how the result differs from an uninterrupted bake, "" if it does not."""
     checkpoint, root = folder / f"{STEM}.checkpoint.npz", folder / f"{STEM}.usda"
     over = root.exists() and not checkpoint.exists()
     if not over and (status := bake(folder, "--resume")):

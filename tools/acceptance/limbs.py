@@ -133,7 +133,7 @@ def which_inside(points: Any, triangles: Any, mesh: Any, pieces: Pieces) -> tupl
 
 
 def in_pieces(points: Any, triangles: Any) -> Pieces:
-    """The pieces of a surface that are looked at: one triangle may be a percent of all."""
+    """The pieces of a surface that are evaluated: one triangle may be a percent of all."""
     edge = PIECE * float(np.ptp(points, axis=0).max())
     return divided(points, triangles, 0.5 * edge**2)
 
@@ -240,7 +240,7 @@ def measured(ran: Ran, folder: Path) -> Ran:
 
 
 def recorded(file: Path) -> dict[tuple[str, str], Ran]:
-    """The bakes in the record of an earlier run, by asset and look."""
+    """The bakes in the record of an earlier run, by asset and preset."""
     tree = json.loads(file.read_text("utf-8"))
     since = {"date": tree["date"], "commit": tree["commit"]}
     rows = [Ran(**{**since, **row}) for row in tree["outcome"]["data"]["runs"]]

@@ -5,7 +5,7 @@
 Every combination is baked in a separate process, from slightly above the floor until it has landed,
 and must end with exit status 0. (The ten ducks remain in flight: their fall into the bowl takes too
 long for a row, which therefore has the warning `untouched`.) A preset may be refused with a message
-if it is too soft for a body of that size, or if it flows without end and the stage has obstacles;
+if it is too soft for a body of that size, or if it flows without limit and the stage has obstacles;
 anything else is a failure.  Prints a row for each: CPU seconds, substeps and warnings.  Exit status
 1 if there was a failure.
 """
@@ -39,7 +39,7 @@ def cpu() -> float:
 
 
 def bake(asset: str, preset: str, particles: int, out: Path) -> tuple[bool, str]:
-    """Whether one combination is as it should be, and what became of it in words."""
+    """Whether one combination passed, and its result as text."""
     frames = FLOWING_FRAMES if LAWS[find_preset(preset).law].unbounded else FRAMES
     before = cpu()
     done = subprocess.run(

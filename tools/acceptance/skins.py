@@ -6,7 +6,7 @@ Every map is applied exactly to the particles of a body (positions, velocities, 
 the vertices of its mesh, and their positions are compared with the map.  A map takes rest positions
 q (n, 3) in radii from the body's center and an amplitude s, 1 at full deformation and 0 at rest, to
 deformed positions.  Read as a motion, s is time.  The embedding uses nodal displacements u instead,
-which the map does not define; two ways to compute them are measured:
+which the map does not define; two methods to compute them are measured:
 
     nodes      u_i = phi(X_i) - X_i at the free nodes
     particles  least squares, W u = x - X and h G u = h (F - I) at the particles
@@ -131,7 +131,7 @@ class Error:
 
 
 class Body:
-    """A sample filled with particles, and the ways for its mesh to ride on them."""
+    """A sample filled with particles, and the skins by which its mesh follows them."""
 
     def __init__(self, name: str) -> None:
         asset = read_asset(ROOT / "samples" / f"{name}.usda")

@@ -97,7 +97,7 @@ def command_table(runs: int, seconds: float) -> list[str]:
 
 
 def dry_run(duck: Sequence[str], look: str, environment: dict[str, str]) -> str:
-    """What a row of the table computes, in words."""
+    """What a row of the table computes, as text."""
     done = subprocess.run(
         [*duck, look, "--dry-run", "--json"], check=True, capture_output=True, text=True,
         env=environment,

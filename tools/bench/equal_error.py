@@ -6,7 +6,7 @@ is gf-usd with the solver's own law at three particle counts, each four times th
 extrapolated.
 
 Each solver has a list of settings, cheap ones first. A setting counts if the next one is accurate,
-too: errors change sign, and a coarse run may have the right value by chance.
+too: errors change sign, and a coarse run may coincidentally have the right value.
 """
 
 from __future__ import annotations

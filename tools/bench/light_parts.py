@@ -121,7 +121,7 @@ def stage(shapes: Sequence[Shape]) -> str:
 
 
 def row(asset: Path, options: Sequence[str], checkout: Path) -> list[str]:
-    """What a bake took and how deep it went.
+    """The cost of a bake and its deepest penetration.
 
     Raises SystemExit with its message where it fails.
     """

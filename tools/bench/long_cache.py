@@ -51,7 +51,7 @@ def Mesh "Box"
 
 @dataclass
 class Memory:
-    """The most that was seen [bytes], before and after a moment."""
+    """Peak values [bytes], before and after a given time."""
 
     before: dict[str, int]
     after: dict[str, int]

@@ -122,7 +122,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         print("\n".join(form_table(folder)), end="\n\n")
-        print(f"| bake | all | {' | '.join(OPTIONS)} | samples left out | points off by |")
+        print(f"| bake | all | {' | '.join(OPTIONS)} | samples left out | error of points |")
         print("|---|---:|" + "---:|" * (len(OPTIONS) + 2))
         pairs = [(DUCK, scene) for scene in SCENES]
         pairs += [

@@ -73,7 +73,7 @@ def peak_rows(
 
 
 def ordering(ours: Mapping[Any, Sequence[Any]], column: str, keys: Sequence[Any]) -> str:
-    """In how many seeds the figure rises along the keys, in words."""
+    """In how many seeds the figure rises along the keys, as text."""
     values = np.array([[s.at_peak()[column] for s in ours[k]] for k in keys])
     holds = np.atleast_1d((np.diff(values, axis=0) > 0.0).all(axis=0))
     chain = " < ".join(str(k) for k in keys)
@@ -99,7 +99,7 @@ def fixed_point(series: Any, last: int) -> dict[str, float]:
 
 
 Runs = dict[Any, list[Series]]
-LAST = 500  # frames at the end of the long run that a fixed point is looked for in
+LAST = 500  # frames at the end of the long run that are searched for a fixed point
 STILL = 1e-5  # deviation of the least J: "to five-decimal precision"
 
 

@@ -65,7 +65,7 @@ def bill(p: Floats) -> Floats:
 
 
 def eyes(p: Floats) -> Floats:
-    """Two domes, sunk into the head."""
+    """Two domes, partly inside the head."""
     return np.linalg.norm(one_side(p) - EYE_CENTER, axis=-1) - EYE_RADIUS
 
 

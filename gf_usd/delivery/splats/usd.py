@@ -76,7 +76,7 @@ def _first_only(prim: Usd.Prim, names: Sequence[str]) -> None:
 
 
 def _value(prim: Usd.Prim, name: str, code: float) -> Vt.Vec3fArray | Vt.QuatfArray:
-    """An attribute, or its twin in half precision."""
+    """An attribute, or the one that holds it in half precision."""
     attribute = prim.GetAttribute(name)
     found = attribute.Get(code) if attribute else None
     return prim.GetAttribute(f"{name}h").Get(code) if found is None else found

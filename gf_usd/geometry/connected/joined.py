@@ -30,7 +30,7 @@ class Joined:
 
     asset: Asset
     groups: tuple[tuple[str, ...], ...] = ()  # prim paths; the first is that of their surface
-    against: frozenset[str] = frozenset()  # paths of parts that face the other way than others
+    against: frozenset[str] = frozenset()  # paths of parts of opposite winding
 
     @property
     def notes(self) -> tuple[str, ...]:

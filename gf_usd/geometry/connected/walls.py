@@ -201,7 +201,7 @@ def _rim(points: Floats, triangles: Ints, first: int) -> Ints:
     if len(loops) != 2 or (loops[0][0] < first) == (loops[1][0] < first):
         return none
     one, two = sorted(loops, key=lambda loop: int(loop[0]))
-    two = two[::-1]  # along the other one: the two meshes face opposite ways
+    two = two[::-1]  # along the other one: the two meshes have opposite winding
     two = np.roll(two, -int(np.linalg.norm(points[two] - points[one[0]], axis=1).argmin()))
     made, i, j = [], 0, 0
     while i < len(one) or j < len(two):

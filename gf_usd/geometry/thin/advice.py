@@ -1,4 +1,4 @@
-"""What is said of poorly filled parts, before a bake and by an inspection."""
+"""Notes on poorly filled parts, of a bake and of an inspection."""
 
 from __future__ import annotations
 

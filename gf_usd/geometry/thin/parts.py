@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 FEW = 8  # particles: a full cell of the solver's grid
 # [lattice edges] three quarters of a cell: a thinner wall may have no cell of its own that is more
-# than half full, and bends by one layer of cells whichever way it lies
+# than half full, and bends by one layer of cells in any orientation
 WHOLE_LAYER = 1.5
 THIN = 0.75  # [spacings] a thinner wall has no particles in more than a quarter of its area
 # Surface points lie within 1.5 spacings of a particle wherever a body is filled (measured on balls,

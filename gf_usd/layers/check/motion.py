@@ -14,12 +14,12 @@ samples is in ``v`` but not in ``v4``; its direction is random, so it averages o
 it can exceed ``v4`` at every single point.  It also averages out of the error bound of ``a`` where
 a body jumps, ``2 (|sum (v2 - v4) . v4| + |sum k . v4|) / sum v4 . v4``: a window whose factor is
 nearer to 1 than that is no evidence against the velocities.  A window counts where most of the
-moving points move smoothly: in the others they do so by chance, and a small body that vibrates at
-twice the rate of the samples then appears to move at part of its speed (observed on a duck of 10 cm
-at 24 samples a second: 0.6).  The result is the median over the windows, weighted by their smooth
-points, if the windows agree on it.  A wrong unit scales all windows alike; bounces at a third of
-the rate of the samples scale each window differently (observed on the same duck, stiff: 0.29 to
-1.41).
+moving points move smoothly: in the others they do so coincidentally, and a small body that vibrates
+at twice the rate of the samples then appears to move at part of its speed (observed on a duck of
+10 cm at 24 samples a second: 0.6).  The result is the median over the windows, weighted by their
+smooth points, if the windows agree on it.  A wrong unit scales all windows alike; bounces at a
+third of the rate of the samples scale each window differently (observed on the same duck, stiff: 0.29
+to 1.41).
 
 Positions and velocities are compared in world space: in the space of a prim that a transform
 shears, an invisible vibration can be the larger part of the motion.
@@ -72,7 +72,7 @@ WRONG = 0.12
 FEWEST_WINDOWS, COARSE = 3, 0.5
 # Below a thousandth of the body's size per sample, motion blur is invisible and jitter dominates.
 STILL = 1e-3
-# Random motion looks smooth by chance in about SMOOTH^3 of its places, motion that the samples
+# Random motion is coincidentally smooth in about SMOOTH^3 of its places, motion that the samples
 # resolve in far more.
 FEWEST_SHARE = 0.05
 FEWEST = 8
@@ -276,7 +276,7 @@ Key = tuple[float | int | bytes | str, ...]
 
 
 def _key(position: Usd.Attribute) -> Key:
-    """A key of positions that differs between prims, unless one is the twin of the other."""
+    """A key of positions that differs between prims, unless they differ in precision only."""
     codes = position.GetTimeSamples()
     x = vectors(position, Usd.TimeCode(codes[0]))
     first = (b"", "") if x is None else (sha256(x.tobytes()).digest(), x.dtype.str)

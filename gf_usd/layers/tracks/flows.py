@@ -1,7 +1,7 @@
 """The surface of a flowing body: a Mesh with a different topology at every time sample.
 
 USD interpolates arrays of equal length between samples and holds others.  Two frames may have the
-same number of points by chance while their faces differ; interpolated points would then be torn, so
+same number of points although their faces differ; interpolated points would then be torn, so
 the later frame has its last point twice, the second not used by any face.
 """
 

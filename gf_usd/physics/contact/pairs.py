@@ -208,7 +208,7 @@ class BodyContact:
         )  # fmt: skip
 
     def _pairs(self, planes: ContactPlanes) -> Ints:
-        """(n + m,) which body of each sample and what it faces, as one number; -1: nothing.
+        """(n + m,) index of the pair of bodies of each sample and its opposite surface; -1: none.
 
         A point of an obstacle has that of the body that it faces and the obstacle.
         """

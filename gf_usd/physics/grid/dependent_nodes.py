@@ -1,7 +1,7 @@
 """Dependent nodes: nodes whose motion is interpolated from free nodes.
 
 Nodes with very little mass and stiffness are not stable as unknowns: they move by hundreds of cells
-(measured) and spoil F of the particles at the surface. Such a light node is an affine fit of the
+(measured) and corrupt F of the particles at the surface. Such a light node is an affine fit of the
 free ones, u_l = sum_j e_lj u_j with sum e = 1 and sum e X_j = X_l. Its force and mass are
 distributed by the transpose, which conserves linear and angular momentum exactly. Nodes outside of
 the particles' support are evaluated the same way, for points embedded there. Pinned nodes follow

@@ -319,7 +319,7 @@ class PinConstraint:
         self.motions = [Motion(pin.anchors, pin.path) for pin in self.pins]
         if (self.particles.pin >= 0).all():
             raise InputError(
-                f"the pins {self._names()} hold all {len(X)} particles: nothing is left to move",
+                f"the pins {self._names()} contain all {len(X)} particles: none is free to move",
                 "make the regions of --pin smaller",
             )
 
@@ -347,14 +347,14 @@ class PinConstraint:
                 continue
             which = f", such as {self.pins[cores[0]].name}," if len(characters) > 1 else ""
             raise InputError(
-                f"none of the {len(cores)} bones of --flesh{which} holds a node of the grid",
+                f"none of the {len(cores)} bones of --flesh{which} contains a node of the grid",
                 "use more particles (--particles), or a larger --bone-radius",
             )
         for index, pin in enumerate(self.pins):
             if pin.sharp and not (nodes.axes == index).any():
                 raise InputError(
-                    f"the pin {pin.name} holds no node of the grid: it is smaller than a cell or "
-                    f"outside the body",
+                    f"the pin {pin.name} contains no node of the grid: it is smaller than a cell"
+                    " or outside the body",
                     "enlarge it, or use more particles (--particles) for a finer grid",
                 )
 

@@ -14,7 +14,7 @@ number c,
     1/2 ln (c C) = Z + Z^3/3 + Z^5/5 + ...,   Z = A (2 + A)^-1
 
 has the deviator of E; tr E = ln J. The truncation error of three terms is 2 |Z|^7 / 7, which `NEAR`
-bounds by rounding. Return mappings evaluate the strain in the same two ways: see `return_strain`.
+bounds by rounding. Return mappings use the same two formulas: see `return_strain`.
 """
 
 import numpy as np

@@ -199,7 +199,7 @@ def _smoothed(points: Floats, triangles: Ints) -> NDArray[np.float64]:
     """
     from scipy.sparse import coo_matrix
 
-    a, b = triangles.ravel(), triangles[:, [1, 2, 0]].ravel()  # every edge, once each way
+    a, b = triangles.ravel(), triangles[:, [1, 2, 0]].ravel()  # every edge, once in each direction
     count = len(points)
     graph = coo_matrix((np.ones(len(a)), (a, b)), shape=(count, count))
     toward = graph.tocsr()

@@ -103,7 +103,7 @@ class Voxels:
         return cls(X=center, near=(np.concatenate(rows), np.concatenate(columns)), of=of)
 
     def distances(self, held: NDArray[np.bool_]) -> Floats:
-        """(k,) [m] from the held ones (k,) along the body; inf where no way leads there."""
+        """(k,) [m] from the pinned ones (k,) along the body; inf where there is no path."""
         from scipy.sparse import coo_matrix
         from scipy.sparse.csgraph import dijkstra
 
@@ -175,7 +175,7 @@ def strains(
     """
     number = np.floor(distance / layer).astype(np.int64)
     each, EV, low = (np.bincount(number, one) for one in (weight, stiffness, weight * down))
-    # Ways from voxel to voxel leave layers empty and fill others twice, and a section that is much
+    # Paths from voxel to voxel leave layers empty and fill others twice, and a section that is much
     # shorter than a few cells stretches with its neighbors.
     EA = _window_sums(EV) / (layer * _window_sums(np.ones_like(EV)))
     beyond = np.append(np.cumsum(each[::-1])[::-1][1:], 0.0)

@@ -233,7 +233,7 @@ def _planes(h: HealthSummary) -> MessageAndHint:
     if share < PLANES_GAIN:
         return None
     return (
-        f"contact put {share * h['energy_scale_J']:.3g} J into the bodies,"
+        f"contact added {share * h['energy_scale_J']:.3g} J into the bodies,"
         f" {percent_text(share)} of their energy scale",
         f"{_gentler(h)}, or use more --particles; if bodies overlap at the start, move"
         " them apart in the asset",

@@ -29,7 +29,7 @@ from gf_usd.core.units import length_text
 
 LOWEST, HIGHEST = 1.0, 2.0  # accepted range of the order
 SAFETY = 1.0  # half width over the distance from f1 to the limit
-COARSE = 0.08  # least half width over |f2 - f3|: f1 - f2 can be small by chance
+COARSE = 0.08  # least half width over |f2 - f3|: f1 - f2 can be small coincidentally
 SWINGING = 0.6  # half width over the larger of |f1 - f2| and |f2 - f3| / 2, where signs alternate
 SMALL = 0.02  # of the scale: differences that are accepted without convergence
 UNORDERED = 1.25  # half width over the largest of these differences

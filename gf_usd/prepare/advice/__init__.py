@@ -43,7 +43,7 @@ def with_fallback(advice: Advice) -> Advice:
     if advice.confidence >= LEAST:
         return advice
     reason = (
-        f"{advice.material} is too unsure, {advice.confidence:.2f} < {LEAST}: {advice.reason};"
+        f"{advice.material} is too uncertain, {advice.confidence:.2f} < {LEAST}: {advice.reason};"
         f" {FALLBACK} is assumed"
     )
     return Advice(path=advice.path, material=FALLBACK, confidence=0.0, reason=reason, by=advice.by)

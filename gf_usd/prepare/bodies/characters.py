@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from gf_usd.prepare.bodies.plan import BodyPlan
 
 # Why a mesh is not part of a character, after what does not move it.
-PROP = "it touches no mesh of a character, so that nothing would hold it"
+PROP = "it touches no mesh of a character, so that nothing would support it"
 SHEET = "it encloses no volume and is not near a mesh of a character"
 GROUND = "it is flat and lies under everything else, as a ground does"
 NEAR = 0.02  # of the size of the characters: open meshes that are farther away do not follow them

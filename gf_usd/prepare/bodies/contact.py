@@ -197,7 +197,7 @@ def penetration_notes(
             room = ", or reverse the faces of the obstacle if it is a room around the body"
             notes.append(
                 f"<{bodies.surfaces[a][0]}> starts with {count[a]} of {whole}"
-                f" particles inside the obstacle <{one.path}> and stays as deep as it is until"
+                f" particles inside the obstacle <{one.path}> and keeps this overlap until"
                 f" it moves away; move them apart in the asset{room if count[a] == whole else ''}"
             )
     return tuple(notes)

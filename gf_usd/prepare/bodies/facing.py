@@ -1,4 +1,4 @@
-"""Obstacles whose faces are the wrong way round for the bodies.
+"""Obstacles whose winding is reversed with respect to the bodies.
 
 Contact takes the front of an obstacle's faces for its outside.  A closed mesh whose faces point
 inward is a room where a body is in it, and an error of modeling where none is: bodies would be
@@ -67,7 +67,7 @@ def _inward(points: Floats, triangles: Ints) -> bool:
 
 
 def _share_in(points: Floats, triangles: Ints, X: Floats) -> float:
-    """Fraction of points X (n, 3) [m] that a closed mesh encloses, whichever way it faces."""
+    """Fraction of points X (n, 3) [m] that a closed mesh encloses, whatever its winding."""
     from gf_usd.geometry.winding import winding_inside
 
     near = ((points.min(0) <= X) & (points.max(0) >= X)).all(1)

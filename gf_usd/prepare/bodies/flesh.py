@@ -31,7 +31,7 @@ GOAL_FREQUENCY = 4.0  # [Hz] of painted goals: flesh of a person swings at 3 to 
 GOAL_DAMPING = 0.5
 HANGING = 0.25  # share of the points of a mesh at the flesh that holds it, below which it hangs
 SAME_POSE = 1e-3  # of the skeleton: poses that differ by less are one
-JUMP = 2.0  # times the longest way between two frames: a cycle whose end is farther is none
+JUMP = 2.0  # times the largest displacement in a frame: beyond it, not a cycle
 
 
 def read_animation(asset: Asset, file: Path, start: float | None) -> Animation:

@@ -97,8 +97,8 @@ def plan_bodies(
         one, two = (f"<{paths[k]}>" for k in pairs[0])
         more = f" (and {counted(len(pairs) - 1, 'more pair')})" if len(pairs) > 1 else ""
         notes.append(
-            f"{one} and {two}{more} are different physics bodies that overlap: they stay as deep"
-            " in each other as they are until they move apart; move them apart"
+            f"{one} and {two}{more} are different physics bodies that overlap: they keep this"
+            " overlap until they move apart; move them apart"
             + (" in the asset, or use --combine" if can_combine else "")
         )
     several = len(names) > 1

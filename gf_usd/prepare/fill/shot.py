@@ -82,7 +82,7 @@ def plan_shot(
     if held and own and gap < -BELOW * filled.bodies.radius.max():
         settings = replace(settings, floor=None, floor_normal=None)
         notes += (
-            f"the asset is held where it is, {length_text(-gap)} below height 0: there is no floor;"
+            f"the pinned asset reaches {length_text(-gap)} below height 0, so there is no floor;"
             " --floor adds one",
         )
     notes += _deep_notes(settings, gap, filled.particles.spacing, inputs)

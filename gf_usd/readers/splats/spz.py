@@ -215,7 +215,7 @@ def _filled(path: Path, header: Header, size: int, read: Callable[[int], bytes])
         whole += piece
     if len(whole) < size:
         raise _too_short(path, header, f"and {size - len(whole)} of them are missing")
-    read(1)  # at the end of a gzip stream its checksum is looked at
+    read(1)  # at the end of a gzip stream its checksum is verified
     return bytes(whole)
 
 

@@ -51,7 +51,7 @@ def ply_bytes(splats: Splats) -> bytes:
 def spz_bytes(splats: Splats) -> bytes:
     """An SPZ file of version 3, positions with as many bits of fraction as fit.
 
-    Raises BakeError where a position is too far off for 24 bits.
+    Raises BakeError where a position is too far from the origin for 24 bits.
     """
     count = len(splats)
     farthest = float(np.abs(splats.positions).max())

@@ -384,7 +384,7 @@ def _direction(points: Floats, joint: Floats) -> Floats:
 
 def _slender(points: Floats, joint: Floats) -> float:
     """[m] from a joint along the direction of points (n, 3) to the last one, less half their width:
-    the median of their distances from this line.  What a gap of more than half of that way
+    the median of their distances from this line.  What a gap of more than half of that distance
     separates, such as a mesh apart from the others, does not count.
     """
     way, at = _direction(points, joint), points - joint

@@ -168,7 +168,7 @@ def _follow(
 def _require_unmirrored(prim: Usd.Prim, frame: Floats, at_rest: Floats, reading: Reading) -> None:
     """Raise InputError where a transform (4, 4) is a mirror image of that at rest.
 
-    The faces of the shape would look inward, and what it meets would be pushed into it.
+    The faces of the shape would point inward, and bodies in contact would be pushed into it.
     """
     if np.linalg.det(frame[:3, :3]) * np.linalg.det(at_rest[:3, :3]) >= 0.0:
         return

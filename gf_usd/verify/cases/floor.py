@@ -100,7 +100,7 @@ def rest(name: str, radius: float, particles: int, device: str) -> float:
 def penetration(
     radii: Sequence[float], particles: int, resting: Sequence[str]
 ) -> Callable[[str], Iterator[Measure]]:
-    """Impact and rest of the looks at several sizes."""
+    """Impact and rest of the dimensionless presets at several sizes."""
 
     def run(device: str) -> Iterator[Measure]:
         for radius in radii:

@@ -54,7 +54,7 @@ def root_pin() -> Pin:
 
 
 def swing_teeth(which: tuple[int, ...], gap: float, device: str) -> tuple[Floats, list[Floats]]:
-    """Times [s], and how far [m] the end of each tooth is then; neighbors start opposite ways."""
+    """Times [s], and how far [m] the end of each tooth is then; neighbors start in antiphase."""
     body = comb_particles(which, gap)
     tooth = np.floor(body.X[:, 0] / (WIDTH + gap)).astype(int)
     solver = TotalLagrangian(

@@ -247,7 +247,7 @@ def test_a_point_that_is_an_anchor_goes_where_the_anchor_goes() -> None:
 
 @pytest.mark.parametrize(
     ("text", "message"),
-    [("box:-9,-9,-9,9,9,9", "hold all"), ("box:0.4,0.1,0.1,0.401,0.101,0.101", "no node")],
+    [("box:-9,-9,-9,9,9,9", "contain all"), ("box:0.4,0.1,0.1,0.401,0.101,0.101", "no node")],
 )
 def test_a_pin_that_holds_all_or_nothing_is_refused(text: str, message: str) -> None:
     with pytest.raises(InputError) as caught:

@@ -124,7 +124,7 @@ def test_a_name_that_contradicts_itself_counts_half_and_its_last_word_decides():
 def test_what_is_unsure_becomes_rubber_and_says_so():
     advice = by_names(Subject(path="/wood/part"))  # 0.5 of a prim above, 0.5 of a stand-in
     assert (advice.material, advice.confidence) == ("rubber", 0.0)
-    assert f"metal is too unsure, 0.25 < {LEAST}" in advice.reason
+    assert f"metal is too uncertain, 0.25 < {LEAST}" in advice.reason
     assert "rubber is assumed" in advice.reason
     sure = Advice(path="/a", material="foam", confidence=LEAST, reason="x")
     assert with_fallback(sure) is sure

@@ -1,7 +1,7 @@
 """Samples of bodies that are inside each other when contact between bodies begins.
 
 Characters may overlap in the first pose of their animation.  Springs would push each sample out by
-the nearest way, also through thin parts such as hands, which would stay entangled.  Samples that
+the shortest path, also through thin parts such as hands, which would stay entangled.  Samples that
 are inside another body, and those near them, such as a finger tip behind a hand, therefore have no
 contact with this body until none of their group is inside it (Baraff et al. 2003 find intersections
 in groups, too).

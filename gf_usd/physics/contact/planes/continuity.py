@@ -34,7 +34,7 @@ RESERVE = 4e-4
 
 @dataclass(frozen=True, kw_only=True)
 class PairNumbers:
-    """The pairs of one of B bodies and what it faces as numbers: first O obstacles, then bodies."""
+    """Indices of the pairs of one of B bodies and what is opposite: O obstacles, then bodies."""
 
     obstacles: int  # O
     bodies: int  # B
@@ -70,7 +70,7 @@ class EnergyBudget:
     ) -> EnergyBudget:
         """For a flow of mass [kg] and radius [m], which has no self-contact.
 
-        A pair is numbered as what the flow faces: first O obstacles, then bodies.  The flow and a
+        Pairs are numbered by the opposite body: first O obstacles, then bodies.  The flow and a
         solid body have the power of the one of the two that has less.
 
         solids : masses [kg] and radii [m] (B,) of the solid bodies.

@@ -118,7 +118,7 @@ class Neighbors:
     """Which samples of a body are near each other at rest, along its surface or through its solid.
 
     A pair is near where it is at most `hops` edges of the sample mesh apart, or closer than `far`
-    [m] with the straight way between them through the body: inwards from one and outwards to the
+    [m] with the straight line between them through the body: inwards from one and outwards to the
     other.  Two legs with a narrow gap between them are not near.  A pair is at the rim where it is
     one edge farther apart than what is near.
     """

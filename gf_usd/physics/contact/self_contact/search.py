@@ -45,7 +45,7 @@ HOPS = 4  # edges of the sample mesh: samples that are not farther apart are not
 THICK = 4.0  # [spacings] thickness of a limb up to which its two sides are not in contact
 SEE = 2.0  # [spacings] radius of the search ball in front of a sample, which reaches twice as far
 STEP = 0.75  # [spacings] most that a sample moves between two detections, against what is near
-ASIDE = 0.5  # cosine between a sample's normal and those of triangles next to what it faces
+ASIDE = 0.5  # cosine between a sample's normal and those of triangles next to its opposite surface
 NO_SIDE = 1e-6  # of the length of a pseudo-normal: below it the normals of its faces cancel
 TURN = 3.0  # [spacings] distance that an angle of a radian between normals counts as
 # [spacings] largest distance from a sample to what it may face, by the search ball and by TURN.
@@ -53,7 +53,7 @@ WIDEST = float(np.hypot(2.0 * SEE, 2.0**0.5 * TURN))
 CELLS = 8  # of the grid in which samples are found, for each of them at most
 AHEAD = 1.5  # factor by which speeds may grow until the next detection
 FEW = 8_000  # pairs of samples that are compared
-CLEAR = 0.75  # [spacings] gap at which what was farther off is searched for again
+CLEAR = 0.75  # [spacings] gap at which surfaces that were farther away are searched again
 FACE = 2.0  # [spacings] gap below which a sample faces a place
 SAME = 0.25  # [spacings] tolerance of the depth by which a place is the one of the last detection
 NEARLY = 0.25  # [spacings] gap below which a sample is about to touch

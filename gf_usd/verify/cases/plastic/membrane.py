@@ -63,7 +63,7 @@ def panel(cells: int) -> tuple[Particles, float]:
 
 
 def raised(cells: int, device: str, *, current: bool = False) -> tuple[tuple[float, float], float]:
-    """Way right and up [m] of the corner, and the share of that up in the last tenth of a period.
+    """Displacement right and up [m] of the corner; share of the latter in the last 0.1 period.
 
     current : the traction acts on the edge as long as it is, and not as long as it was.
     """

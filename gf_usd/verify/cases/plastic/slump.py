@@ -5,7 +5,7 @@ area, is what they bear.  With y = Y / (rho g H) a column of height H becomes sh
 
     s = 1 - y (1 - ln y)        [Pashias, Boger, Summers and Glenister 1996, for 2 tau_y = Y]
 
-The weight grows so slowly that the column is close to rest at every y on the way.
+The weight grows so slowly that the column is close to rest at every y.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def slumped(cells: int, least: float, device: str) -> tuple[Floats, Floats]:
 
 
 def slump(cells: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
-    """Slump on the way, of the finest of several resolutions."""
+    """Slump during the collapse, of the finest of several resolutions."""
 
     def run(device: str) -> Iterator[Measure]:
         results = [slumped(n, YIELDS[-1], device) for n in cells]

@@ -29,7 +29,7 @@ HARD = replace(COPPER, parameters={**COPPER.parameters, "yield_stress": 4e9})
 END, PARTS = 80e-6, 40  # [s], frames
 FINAL = (7.2259e-3, 21.42e-3)
 HISTORY = {20e-6: (6.205e-3, 28.065e-3), 40e-6: (7.147e-3, 24.562e-3), 60e-6: (7.234e-3, 22.213e-3)}
-CONTROL = 40e-6  # [s] when the hard bar is looked at
+CONTROL = 40e-6  # [s] when the hard bar is measured
 
 
 @dataclass(frozen=True, kw_only=True)

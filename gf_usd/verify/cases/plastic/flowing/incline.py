@@ -7,7 +7,7 @@ On a slope of angle theta with friction mu the block stays where tan(theta) < mu
 above: every particle that meets the floor is at Coulomb's limit, and together they bear the weight.
 The sand holds together (cohesion), and has more friction inside than under it.
 
-In free flight without gravity momentum and mass stay as they are, whatever comes apart on the way.
+In free flight without gravity momentum and mass are conserved, whatever separates.
 """
 
 from __future__ import annotations

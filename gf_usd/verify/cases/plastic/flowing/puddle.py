@@ -11,8 +11,8 @@ less than its weight by 2 sqrt(tau^2 - s^2), s = tau (1 - y / h) at the height y
 
     rho g h^2 / 2 - pi tau h / 2 = tau x        [Dubash, Balmforth, Slim and Cochard 2009]
 
-The first is off by pi tau / (rho g h), 31 % of our puddle, ten times as high as tau / (rho g), and
-3 % of one a hundred times as high, which takes some 10^5 cells.
+The error of the first is pi tau / (rho g h), 31 % of our puddle, ten times as high as
+tau / (rho g), and 3 % of one a hundred times as high, which takes some 10^5 cells.
 """
 
 from __future__ import annotations
