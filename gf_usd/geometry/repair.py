@@ -87,7 +87,7 @@ class Repairs:
         if self.turned:
             lines.append(f"turned {counted(self.turned, 'triangle')} to match the rest")
         if self.turned_parts:
-            lines.append(f"turned {counted(self.turned_parts, 'part')} that faced the wrong way")
+            lines.append(f"turned {counted(self.turned_parts, 'part')} of reversed winding")
         if self.inner:
             lines.append(
                 f"dropped {counted(self.inner, 'part')} inside others that bound no volume"

@@ -120,7 +120,7 @@ class MeshSkin:
     """One skin for all meshes of an asset.
 
     points : vertices (n, 3) [m] at rest, by prim path; particles : (N, 3) [m] at rest.
-    Raises UsageError for a name that `make_skin` does not know.
+    Raises UsageError for a name that `make_skin` does not have.
     """
 
     def __init__(self, name: str, points: Mapping[str, Floats], particles: Floats) -> None:

@@ -29,7 +29,7 @@ PROBES = 200_000  # sample points for volumes without a closed form
 LEAST_PROBES = 2_000  # of them in each group of surfaces whose boxes overlap
 # By which boxes that touch may overlap along an axis: the rounding of two coordinates to float32,
 # and at least and at most these shares of the smaller box.  Where rounding is coarser, boxes that
-# overlap cannot be told from others.
+# overlap cannot be distinguished from others.
 ROUNDING = float(np.finfo(np.float32).eps)  # of the largest coordinate
 TOUCHING, MOST_TOUCHING = 1e-6, 1e-2
 RECURRENCE = 1.2207440846057596

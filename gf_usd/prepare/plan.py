@@ -63,7 +63,7 @@ class Plan:
     ]  # (prim path, reason) of meshes that are not filled and move with a body
     drop: float  # [m] free fall before the floor
     notes: tuple[str, ...]
-    odd: str = ""  # how implausible its size is in a unit that nobody wrote down, if it is
+    odd: str = ""  # how implausible its size is in an assumed unit; empty if it is plausible
     repairs: tuple[Repairs, ...] = ()  # of --repair, one for each mesh that it may change
     coarse: tuple[str, ...] = ()  # prim paths of meshes that a note says are too coarse to bend
     lost: str = ""  # how little of its volume faults of its meshes let be filled; one of the notes

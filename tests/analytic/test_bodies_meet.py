@@ -44,7 +44,7 @@ def test_what_one_body_loses_another_gains(material):
 
 @pytest.mark.slow
 def test_angular_momentum_is_kept_to_rounding():
-    """Off the line, with friction, sliding and deep: the forces of a pair act in one line."""
+    """Not collinear, with friction, sliding and deep: the forces of a pair act along one line."""
     # The filter keeps that of the rest shape, sum X x m v; without it only contact could change it.
     solver = contact_solver(
         LEFT, RIGHT, particles=600, frames=20, velocity=[(SPEED, 0.0, 0.0), (-SPEED, 0.0, 0.0)],

@@ -19,7 +19,7 @@ END, SUBSTEPS = 2e-3, 1000  # [s]: a strain of 0.004
 def test_sheared_at_a_rate_it_bears_its_yield_stress_and_its_viscosity(name: str) -> None:
     """sigma = Y + eta (da/dt)^n with da/dt = rate / sqrt(3), once the start is forgotten.
 
-    It is forgotten in some 2e-4 s; elastic strains before that are less than those of the way.
+    It is forgotten in some 2e-4 s; elastic strains before that are less than those of the path.
     """
     preset = presets()[name].material(1.0)
     # so heavy that its stress does not move it: its strain follows its velocity

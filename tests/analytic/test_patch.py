@@ -65,5 +65,5 @@ def test_forces_add_up_to_nothing(token):
     assert size > 0.0
     assert np.abs(change.sum(0)).max() < 1e-10 * size
     x = solver.body.stencil.free_X + u
-    # The moment is taken half a drift of 5e-7 s later: x is off by v dt / 2 ~ 5e-8 of its size.
+    # The moment is taken half a drift of 5e-7 s later: x has an error of v dt / 2 ~ 5e-8.
     assert np.abs(np.cross(x, change).sum(0)).max() < 1e-6 * size

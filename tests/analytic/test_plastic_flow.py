@@ -91,7 +91,7 @@ class Press:
         return frame.stress
 
     def _move(self, F: Floats) -> float:
-        """[J] that flow takes on the way to F, on which every point keeps its velocity."""
+        """[J] that flow dissipates along the path to F, on which every point keeps its velocity."""
         state, dt, n = self.solver.state, self.solver.frame_time, len(self.solver.particles)
         rate = (F - self.F) / dt
         if self.family == "ul":

@@ -32,7 +32,7 @@ def core(damping: float) -> tuple[float, float]:
     """Mean and standard deviation of J behind the shocks of two halves that hit each other.
 
     The shock has gone through two thirds of each half.  Left out are the middle, where the start
-    was no shock yet, the front, and what the free sides have let go.
+    was no shock yet, the front, and what the free sides have unloaded.
     """
     body, _ = fill(solid(cube((-0.5, -0.5, -0.5))), 8000)
     nu = LAM / (2.0 * (LAM + MU))

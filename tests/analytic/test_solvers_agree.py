@@ -15,8 +15,8 @@ from gf_usd.verify.bodies import block, elastic, settings
 
 E = 1e4  # [Pa]
 RATE = np.array([[3.0, 2.0, 0.0], [0.0, -4.0, 1.0], [2.0, 0.0, -1.0]])  # [1/s]
-STRAIN = 2e-3  # largest of the way
-YIELD = 2e-4 * E  # [Pa]: most of the way is flow
+STRAIN = 2e-3  # largest along the path
+YIELD = 2e-4 * E  # [Pa]: most of the path is flow
 SUBSTEPS = 20
 
 

@@ -1,4 +1,4 @@
-"""Manifests: what they request, and every way to request nothing."""
+"""Manifests: what they request, and every invalid request."""
 
 from __future__ import annotations
 

@@ -307,7 +307,7 @@ time.sleep(600.0)
 
 @pytest.mark.skipif(os.name == "nt", reason="signals")
 def test_a_signal_within_the_callback_of_an_import_lock_is_not_lost() -> None:
-    """Python ignores exceptions there, and the bake would go on and wait for something else."""
+    """Python ignores exceptions there, and the bake would continue and wait for something else."""
     done = subprocess.run(
         [sys.executable, "-c", IN_A_CALLBACK],
         capture_output=True, text=True, timeout=60, check=False,

@@ -49,7 +49,7 @@ def test_its_tasks_bake_and_tell_and_its_report_shows(here: Path, block: Path) -
     entry = json.loads((here / "out" / "out.batch.json").read_text("utf-8"))
     assert entry["counts"] == {"done": 3}
     assert (here / "out" / "out.batch.html").is_file()
-    # an asset that is damaged meanwhile fails its task, in words that the farm shows
+    # an asset that is damaged meanwhile fails its task, with a message that the farm shows
     block.write_text("#usda 1.0\ndef {", encoding="utf-8")
     broken = subprocess.run(command, capture_output=True, text=True, check=False)
     assert broken.returncode == 1

@@ -1,4 +1,4 @@
-"""gf-usd check: findings in words and in JSON, and the exit status for scripts."""
+"""gf-usd check: findings as text and as JSON, and the exit status for scripts."""
 
 from __future__ import annotations
 

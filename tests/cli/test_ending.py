@@ -101,7 +101,7 @@ def test_an_interrupt_tells_of_partial_files_where_there_are_some(tmp_path: Path
     assert exit.message() == ""
 
 
-# A signal as USD is imported, which goes on after an exception in the middle of it.
+# A signal as USD is imported, which continues after an exception in the middle of it.
 EARLY = """
 import signal, sys, time
 from gf_usd.cli import main

@@ -164,7 +164,7 @@ def test_oddities_and_what_to_do_about_them(gf_usd, odd, tmp_path):
     assert "with --meters-per-unit 0.01 it would be 1.2 m" in done.out
     options = ["--repair", "--meters-per-unit", "0.01"]
     mended = gf_usd("inspect", odd, *options, *FEW)
-    assert "repaired for the fill: turned 1 part that faced the wrong way" in mended.out
+    assert "repaired for the fill: turned 1 part of reversed winding" in mended.out
     assert "1 unit = 0.01 m (as requested)" in mended.out
     assert "warning" not in mended.out
 

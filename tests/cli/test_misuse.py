@@ -1,4 +1,4 @@
-"""Wrong command lines: each is answered in words, with a hint, and leaves no file."""
+"""Wrong command lines: each is an error message with a hint, and leaves no file."""
 
 from __future__ import annotations
 

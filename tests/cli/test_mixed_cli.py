@@ -68,7 +68,7 @@ def test_a_mixed_job_of_a_batch_is_the_bake_alone(gf_usd, here: Path, tmp_path: 
 @pytest.mark.slow
 @pytest.mark.acceptance
 def test_captured_gaussians_fall_on_sand(gf_usd, here: Path, tmp_path: Path) -> None:
-    """A capture is the solid body of a mixed scene: its Gaussians move, the sand gives way."""
+    """A capture is the solid body of a mixed scene: its Gaussians move, the sand yields."""
     path = scene(tmp_path, body("Sand", "dry-sand", "0, 0.1, 0"))
     stage = Usd.Stage.Open(str(path))
     capture = replace(ball(400, radius=0.1), path="/World/Ball")

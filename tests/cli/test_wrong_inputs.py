@@ -1,4 +1,4 @@
-"""Five inputs that a new user gets wrong: refused in words, quickly, and without a file."""
+"""Five typical wrong inputs: refused with a message, quickly, and without a file."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @pytest.fixture(scope="session")
 def duck(tmp_path_factory: pytest.TempPathFactory) -> Baked:
-    """The sample duck with three looks: centimeters, Y up, normals, UVs, subsets."""
+    """The sample duck with three variants: centimeters, Y up, normals, UVs, subsets."""
     return bake_duck(ROOT / "samples" / "duck.usda", tmp_path_factory.mktemp("duck"))
 
 

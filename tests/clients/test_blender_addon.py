@@ -134,7 +134,7 @@ def test_obstacles_follow_their_animation_and_are_not_baked(drive: Callable[[str
     seconds = np.arange(FRAMES) / 24.0
     top = 0.5 + 0.05 * np.arange(FRAMES)  # of the slab
     free = lowest[0] - 9.81 * seconds**2 / 2
-    # by the third frame it would have fallen through; contact gives way by less than a spacing
+    # by the third frame it would have fallen through; contact yields by less than a spacing
     assert free[-1] < top[-1] - 0.15
     spacing = (4 / 3 * np.pi * 0.5**3 / 300) ** (1 / 3)
     assert (lowest > top - spacing).all()

@@ -59,7 +59,7 @@ def test_an_error_passes_between_processes(error: GfUsdError) -> None:
     ],
 )
 def test_hints_name_what_is_similar(name: str, hint: str) -> None:
-    """Each of fourteen places compared names in its own way, some with regard to case."""
+    """Fourteen places compared names differently, some with regard to case."""
     assert did_you_mean(name, ["rubber", "metal", "/Ball/Low"]) == hint
 
 

@@ -1,4 +1,4 @@
-"""Triangles that face the other way than their neighbors are turned before anything is filled."""
+"""Triangles wound opposite to their neighbors are turned before anything is filled."""
 
 from __future__ import annotations
 

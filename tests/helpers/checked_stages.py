@@ -1,4 +1,4 @@
-"""A small stage with everything that the rules of the check look at, and ways to break it.
+"""A small stage with everything that the rules of the check examine, and changes that break it.
 
 `good_stage` writes one with nothing wrong.  For every rule `BREAKS` has the ways to break it, each
 as small as can be.

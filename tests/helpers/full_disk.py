@@ -12,7 +12,7 @@ SIZE = 100  # [bytes] that each file still takes
 
 @pytest.fixture
 def full_disk() -> Iterator[None]:
-    """Files of this process get no longer than SIZE; writing on is an error in words."""
+    """Files of this process get no longer than SIZE; writing more is an ordinary error."""
     resource = pytest.importorskip("resource", reason="no file size limit")
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)

@@ -1,4 +1,4 @@
-"""Sound small files of every format that is read, and seeded ways to break them."""
+"""Small valid files of every format that is read, and seeded changes that break them."""
 
 from __future__ import annotations
 

@@ -111,7 +111,7 @@ def asset(folder: Path) -> Path:
 
 
 def planned(path: Path, options: dict[str, Any]) -> bool:
-    """Whether there is a plan; False where it is refused in words, with a hint.
+    """Whether there is a plan; False where it is refused with a message and a hint.
 
     Any other error is a finding, and passes through.
     """

@@ -140,7 +140,7 @@ def loaded(path: Path) -> list[str]:
 
 
 def read_each(files: Sequence[Path]) -> None:
-    """Read files one after the other; refusals in words of ours are as good as success."""
+    """Read files one after the other; refusals with a message of gf-usd count as success."""
     for file in files:
         with contextlib.suppress(GfUsdError):
             read_untrusted(file)

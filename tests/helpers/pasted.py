@@ -13,7 +13,7 @@ from tools.documents import ROOT
 def paste(script: str, folder: Path, **options: float) -> str:
     """Run `script` in `folder`, which gets a link to samples/; returns its stdout.
 
-    options : of the bakes that do not give them, by way of a gf-usd.toml.
+    options : of the bakes that do not give them, in a gf-usd.toml.
 
     AssertionError where a command fails.
     """

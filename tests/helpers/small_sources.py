@@ -1,4 +1,4 @@
-"""Hand-written source stages, each with its own way of being difficult."""
+"""Hand-written source stages, each with a difficulty of its own."""
 
 from __future__ import annotations
 

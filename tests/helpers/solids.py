@@ -1,4 +1,4 @@
-"""Small solids, made of values instead of files, and ways to break them."""
+"""Small solids, made of values instead of files, and changes that break them."""
 
 from __future__ import annotations
 

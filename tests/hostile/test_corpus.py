@@ -1,4 +1,4 @@
-"""Every broken or hostile file is read, or refused in words, and leaves nothing behind."""
+"""Every broken or hostile file is read, or refused with a message, and leaves nothing behind."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def test_values_of_another_type_than_the_schema_has(tmp_path: Path, kind: str) -
 
 @pytest.mark.slow
 def test_value_of_a_type_that_usd_does_not_know(tmp_path: Path) -> None:
-    """USD prints a TypeError of its own for it, by the hook for uncaught ones, and goes on."""
+    """USD prints a TypeError of its own for it, by the hook for uncaught ones, and continues."""
     file = Path(__file__).parents[1] / "assets" / "unknown_value_type.usdc"
     assert stopped([file], EACH) == {}
     with pytest.raises(InputError, match=r"unknown_value_type\.usdc is damaged: ") as raised:

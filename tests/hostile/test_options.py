@@ -1,4 +1,4 @@
-"""Any combination of options ends in a plan, or in words with a hint."""
+"""Any combination of options ends in a plan, or in an error with a hint."""
 
 from __future__ import annotations
 

@@ -21,9 +21,9 @@ EACH = Limits(time=60.0, memory=8e9, output=1e8)
 
 
 def outcome(file: Path, **options: object) -> str:
-    """ "baked" with nothing for `check` to find, or "refused" in words with a hint.
+    """ "baked" with nothing for `check` to find, or "refused" with a message and a hint.
 
-    Either way nothing half-written lies about, and after a refusal nothing at all.
+    In both cases no file is half-written, and after a refusal there is none.
     """
     folder = file.parent / "out"
     try:

@@ -1,4 +1,4 @@
-"""The faults of usd-core that docs/upstream.md describes end in words of ours.
+"""The faults of usd-core that docs/upstream.md describes end in messages of gf-usd.
 
 The files are made by the scripts of that page, which so stay true.
 """

@@ -111,7 +111,7 @@ def test_the_band_of_a_curve_holds_its_limit():
 
 
 def test_curves_that_part_are_known_until_they_do():
-    # after t = 0.6 each run goes its own way, and the finer ones are no closer
+    # after t = 0.6 the runs diverge, and the finer ones are no closer
     ways = {0.1: 1.0, 0.2: -1.0, 0.4: 0.5}
     found = band(curves(lambda t, e: ways[e] * np.maximum(0.0, t - 0.6)), 1.0)
     assert 30 <= found.until <= 32

@@ -137,7 +137,7 @@ def test_bodies_are_searched_once_for_each_spacing(
 
 @pytest.mark.parametrize("kind", ["physics bodies", "components"])
 def test_a_plate_that_is_a_body_is_filled_by_its_own_thickness(plan, kind: str) -> None:
-    """Rays through it went on through the body that it lies on."""
+    """Rays through it continued through the body that it lies on."""
     lies = (
         "double3 xformOp:translate = (0, 1, 0)\nfloat3 xformOp:scale = (1, 0.14, 1)\n"
         'uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:scale"]'

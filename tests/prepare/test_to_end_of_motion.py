@@ -29,7 +29,7 @@ def lengths(plan: Callable[..., Plan], *prims: str, layer: str = head(), **more:
 
 
 def test_a_bake_lasts_as_long_as_its_pins_move(plan) -> None:
-    """It ended after 83 frames: the handle went on, and the body stayed where it was."""
+    """It ended after 83 frames: the handle continued, and the body stayed where it was."""
     made = lengths(plan, mesh("One"), mesh("Handle", BESIDE))
     assert made.settings.frames == 201, "the first at which the pin stays"
     assert noted(made, "201 frames are simulated, as what is pinned moves until time code 200.5:")

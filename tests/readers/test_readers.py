@@ -1,4 +1,4 @@
-"""What cannot be read is refused in words; readers are found by suffix, and late."""
+"""What cannot be read is refused with a message; readers are imported by suffix when needed."""
 
 import re
 import subprocess

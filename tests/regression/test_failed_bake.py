@@ -1,4 +1,4 @@
-"""What is left where the simulation cannot go on, and what is not touched."""
+"""What is left where the simulation cannot continue, and what is not touched."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ RADIUS, FRAMES = 0.5, 24
 
 
 def scene(path: Path, depth: float, *, other: str) -> Path:
-    """A ball sunk by a depth [m] in a table that stays, or in a ball that lies on the floor."""
+    """A ball that overlaps a fixed table by a depth [m], or in a ball that lies on the floor."""
     stage = Usd.Stage.CreateNew(str(path))
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)

@@ -1,4 +1,4 @@
-"""A child that crashes, hangs, eats memory or fails is reported in words; its files go with it."""
+"""A child that crashes, hangs, exhausts memory or fails is reported; its files are removed."""
 
 from __future__ import annotations
 

@@ -52,7 +52,7 @@ def test_baked_or_refused_in_words(monkeypatch: pytest.MonkeyPatch, folder: Path
 def test_what_was_baked_is_not_baked_again(
     monkeypatch: pytest.MonkeyPatch, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Each row is there as soon as its asset is done, so that a run that ends early goes on."""
+    """Each row is written when its asset is done, so that a run that ends early can continue."""
     rows, commands = folder.parent / "rows.jsonl", []
 
     def refuse(*arguments: str, patience: float) -> tuple[int, str, str]:

@@ -11,7 +11,7 @@ TRUTH = {"squash": 0.8, "rebound": 0.5}
 
 
 class Ladder:
-    """Settings n whose rebound is off by `errors[n]`, each taking `each` seconds."""
+    """Settings n whose rebound has an error of `errors[n]`, each taking `each` seconds."""
 
     def __init__(self, errors, each=1.0):
         self.errors, self.each, self.now, self.tried = errors, each, 0.0, []

@@ -70,7 +70,7 @@ class Kill:
 
 @dataclass(frozen=True, kw_only=True)
 class Pace:
-    """How long the phases of a bake take that nobody kills [s]."""
+    """Duration of the phases of an uninterrupted bake [s]."""
 
     start: float  # until the first clip
     clip: float  # from one to the next, mean

@@ -233,7 +233,7 @@ def part_weights(
     """
     closest = _closest(X, parts)
     squared = ((closest - X[:, None]) ** 2).sum(2)
-    # A slight shift breaks ties between two faces at equal distance, in the same way for all parts.
+    # A slight shift, the same for all parts, breaks ties between two faces at equal distance.
     best = closest[np.arange(len(X)), squared.argmin(1)]
     closest = _closest(X + NEARER * (best - X), parts)
     squared = ((closest - X[:, None]) ** 2).sum(2)

@@ -121,7 +121,7 @@ def _open_pieces(
 def _adjacent(
     pieces: Sequence[Surface], edges: Sequence[Ints], alike: Alike | None
 ) -> list[tuple[list[int], NDArray[np.bool_]]]:
-    """Groups of pieces that common border edges connect, and which members face the other way
+    """Groups of pieces that common border edges connect, and which members have opposite winding
     than the first.
 
     edges : (E, 2) directed border edges of each piece.
@@ -132,12 +132,12 @@ def _adjacent(
     low, high = welded.min(1), welded.max(1)
     order = np.lexsort((high, low))
     same = (low[order][1:] == low[order][:-1]) & (high[order][1:] == high[order][:-1])
-    # where three meshes meet, as a mesh and its copies do, it is not known which two are neighbors
+    # where three meshes meet, as a mesh and its copies do, neighbors are ambiguous
     crowded = np.zeros(len(same), bool)
     crowded[1:] |= same[:-1]
     crowded[:-1] |= same[1:]
     same &= ~crowded
-    # votes of the common edges: neighbors that face the same way run along them in opposite
+    # votes of the common edges: neighbors of the same winding run along them in opposite
     # directions
     votes: dict[int, dict[int, int]] = defaultdict(lambda: defaultdict(int))
     for k in np.flatnonzero(same):

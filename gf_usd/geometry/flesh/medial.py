@@ -211,7 +211,7 @@ def _bone(number: int, at: Floats, weight: Floats, x: Floats, path: Floats) -> B
 def _cores(
     points: Floats, depth: Floats, piece: Ints, count: int, share: float, cell: float
 ) -> Cores:
-    """Balls around the medial points of each piece, up to `BETWEEN` of the way to the next."""
+    """Balls around the medial points of each piece, up to `BETWEEN` of the distance to the next."""
     centers = np.stack([points[piece == k][0] for k in range(count)])
     way = np.sort(cdist(points, centers), axis=1)
     inner = np.ones(len(points), bool)

@@ -124,7 +124,7 @@ def poor_parts(solid: Solid, particles: Particles, samples: SurfaceSamples) -> t
 def suggestion(parts: tuple[Part, ...]) -> int | None:
     """The greatest number of particles that is suggested for a part; None where there is none.
 
-    Specks do not count: they would ask for many times as many, and are hardly meant.
+    Specks do not count: they would require many times as many particles, and are rarely intended.
     """
     return max((p.suggested for p in parts if p.suggested and not p.speck), default=None)
 

@@ -18,8 +18,8 @@ moving points move smoothly: in the others they do so coincidentally, and a smal
 at twice the rate of the samples then appears to move at part of its speed (observed on a duck of
 10 cm at 24 samples a second: 0.6).  The result is the median over the windows, weighted by their
 smooth points, if the windows agree on it.  A wrong unit scales all windows alike; bounces at a
-third of the rate of the samples scale each window differently (observed on the same duck, stiff: 0.29
-to 1.41).
+third of the rate of the samples scale each window differently (observed on the same duck, stiff:
+0.29 to 1.41).
 
 Positions and velocities are compared in world space: in the space of a prim that a transform
 shears, an invisible vibration can be the larger part of the motion.

@@ -59,7 +59,7 @@ def position_attribute(prim: Usd.Prim) -> Usd.Attribute | None:
 
 
 def applied_names(prim: Usd.Prim) -> list[str]:
-    """The names in apiSchemas as authored, including those that USD does not know."""
+    """The names in apiSchemas as authored, including those that are not registered in USD."""
     listed = prim.GetMetadata("apiSchemas")
     return [str(name) for name in listed.GetAppliedItems()] if listed else []
 

@@ -1,6 +1,6 @@
 """One baked mesh in the cache layer: overs on its own prim, in its own local space.
 
-TetMesh and Points prims are written in the same way, with their own topology: every point of a
+TetMesh and Points prims are written likewise, with their own topology: every point of a
 TetMesh, and the points of a Points prim without the surface that was reconstructed around them.
 
 A bake keeps the topology of its first frame.  If the topology of the source changes, arrays with an

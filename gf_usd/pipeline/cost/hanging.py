@@ -171,7 +171,7 @@ def strains(
     """(k,) strains e of the layers that hang, by the weight beyond each, and their thickness [m].
 
     Of voxels: distance (N,) [m] from the pin, weight (N,) [N], stiffness E V (N,) [N m] and place
-    along gravity (N,) [m]; layer : [m] between distances that are told apart.
+    along gravity (N,) [m]; layer : [m] between distances that are distinguished.
     """
     number = np.floor(distance / layer).astype(np.int64)
     each, EV, low = (np.bincount(number, one) for one in (weight, stiffness, weight * down))

@@ -263,7 +263,7 @@ def _overlap(h: HealthSummary) -> MessageAndHint:
         fault = f"{names[0]} overlapped {names[1]} by {depth}"
     elif pair := h.get("overlap_pair"):  # of an edge or corner: a sentence
         fault = f"{pair}, {depth} deep"
-    else:  # some solvers do not know it
+    else:  # some solvers do not provide it
         fault = f"bodies or obstacles overlapped by {depth}"
     return (
         f"{fault} at {_frame(h, 'overlap_frame')}",

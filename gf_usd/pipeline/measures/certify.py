@@ -144,7 +144,7 @@ def coarser_runs(
         if abs(filled - volume) > VOLUME * volume:
             return (), (
                 f"{what} has a different body, of {volume_text(filled)} instead of"
-                f" {volume_text(volume)}: each resolution closes a hole in its own way, and"
+                f" {volume_text(volume)}: each resolution closes a hole differently, and"
                 " --repair makes sheets as thick as the spacing"
             )
         found.append(made)

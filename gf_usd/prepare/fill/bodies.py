@@ -97,7 +97,7 @@ def fill_bodies(inputs: Inputs) -> FilledBodies:
 def _some_touch(solid: Solid, owners: Sequence[str], kinds: Ints | None) -> bool:
     """Whether bodies may touch: of different owners (S,) or components, or of different kinds (S,).
 
-    Else rays into a body meet no other one.
+    Otherwise rays into a body intersect no other one.
     """
     components = {s.component for s in solid.surfaces} - {""}
     return kinds is not None or len(set(owners) - {""}) > 1 or len(components) > 1

@@ -21,7 +21,7 @@ def mass_scaled(
 
     Density, weight and velocities are unchanged, and with them the energy of an impact; so is the
     yield stress.  The final shape is therefore the same as long as elastic strains are small.  A
-    body with `factor` times the density and strength moves in the same way.  Scaling the inertia
+    body with `factor` times the density and strength has the same motion.  Scaling the inertia
     alone does not help: with the true weight the motion is slower by the square root of the factor,
     so the longer time steps have a proportionally longer motion to cover.
 

@@ -227,7 +227,7 @@ def stopped(out):
 
 
 class Layout:
-    """What a panel draws, in words."""
+    """What a panel draws, as text."""
 
     def __init__(self):
         self.drawn = []

@@ -80,7 +80,7 @@ def test_shells_thinner_than_a_spacing_are_named():
 @pytest.mark.parametrize("meshes", [1, 2])
 @pytest.mark.parametrize("gap", [0.0, -0.001, 0.01], ids=["touching", "sunk", "above"])
 def test_a_plate_on_a_body_is_as_thick_as_without_it(gap, meshes):
-    """Rays through it went on through the body."""
+    """Rays through it continued through the body."""
     plate = cube(low=(0.2, 0.2, 1.0 + gap), edge=(0.6, 0.6, 0.003), path="/Plate")
     body = (shells_of(cube(), plate),) if meshes == 1 else (cube(), plate)
     (part,) = parts_of(*body, particles=2000)

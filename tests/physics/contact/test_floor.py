@@ -26,7 +26,7 @@ from gf_usd.physics.grid.reference import build_stencil
 def rebound(k: float, m: float, c: float, *, sticky: bool) -> float:
     """Speed out over speed in of a lone mass on the floor's spring, integrated numerically.
 
-    sticky : the spring pulls as well, down to depth 0; else it lets go where its force is 0.
+    sticky : the spring pulls as well, down to depth 0; else it releases where its force is 0.
     """
 
     def rate(_, y):
@@ -48,7 +48,7 @@ def test_a_lone_mass_leaves_with_the_restitution_asked_for(restitution, k, m):
     c = damping_coefficient(np.array([k]), np.array([m]), np.array([restitution]))[0]
     # The integrator's 1e-10 a step, over some hundred steps.
     assert rebound(k, m, c, sticky=True) == pytest.approx(restitution, abs=1e-7)
-    # A floor that never pulls lets go where its force is 0, sooner, and so gives back a little more
+    # A floor that never pulls releases where its force is 0, sooner, and returns a little more
     # (Schwager and Poeschel 2007, eq. 21): .855 where .85 is required.
     z = c / (2.0 * np.sqrt(k * m))
     root = np.sqrt(1.0 - z * z)

@@ -139,7 +139,7 @@ def test_scenes_around_the_origin_keep_it():
 
 @pytest.mark.parametrize("material", ["jelly", pytest.param("clay", marks=pytest.mark.slow)])
 def test_what_falls_along_with_a_body_meets_it_when_the_floor_stops_it(material):
-    """They had no relative velocity, so that nothing was looked for before the end of the frame.
+    """They had no relative velocity, so that contact was not detected before the end of the frame.
 
     Fruits fell through the bowl of rubber that they were in.
     """
@@ -219,7 +219,7 @@ def test_a_frame_done_again_for_its_contact_is_forgotten_after_it():
 
 @pytest.mark.slow
 def test_an_attempt_that_ended_with_an_exception_leaves_no_trace():
-    """Another state that is loaded after it goes on as in a solver that never failed."""
+    """Another state that is loaded after it continues as in a solver that never failed."""
     straight, broken = squeezed(0.8, 0.35), squeezed(0.8, 0.35)
     start = straight.read(0).health
     first = straight.next(1, start).health

@@ -109,7 +109,7 @@ def test_a_sample_is_pushed_before_it_touches_but_not_where_it_is_at_rest():
 
 @pytest.mark.parametrize(("wide", "spacing"), [(1, 0.2), (3, 0.15), (3, 0.2)])
 def test_thin_bars_near_each_other_at_rest_are_not_pushed(wide, spacing):
-    """Samples of thin bars lie far apart: the nearest is farther off than what a sample faces.
+    """Samples of thin bars are far apart: the nearest is farther than the opposite surface.
 
     The frame of a chair next to its cushion began with 0.15 % of all energy in such springs.
     """

@@ -191,7 +191,7 @@ def test_particles_have_the_rows_of_any_points_where_they_are():
 
 
 def test_products_are_the_same_bits_by_the_kernel():
-    """Which way is taken depends on the size and the device, the result must not."""
+    """The method depends on the size and the device, the result must not."""
     rng = np.random.default_rng(5)
     M = sparse.random_array((301, 120), density=0.2, format="csr", rng=rng)
     M.indptr, M.indices = M.indptr.astype(np.int32), M.indices.astype(np.int32)

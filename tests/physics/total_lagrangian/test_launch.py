@@ -1,4 +1,4 @@
-"""Threads of a launch give way where cores are lacking, and come back."""
+"""Threads of a launch are reduced where cores are lacking, and restored."""
 
 from __future__ import annotations
 

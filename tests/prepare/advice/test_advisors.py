@@ -1,4 +1,4 @@
-"""Advisors as plug-ins: found by entry point, called, and refused in words."""
+"""Advisors as plug-ins: found by entry point, called, and refused with a message."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Obstacles whose faces are the wrong way round for the bodies are reversed, rooms are not."""
+"""Obstacles whose winding is reversed with respect to the bodies are turned, rooms are not."""
 
 from __future__ import annotations
 

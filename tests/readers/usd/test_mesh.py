@@ -79,7 +79,7 @@ def test_volume_is_positive_whatever_mirrors_it(read, scale, handed):
     cube, left = CUBE, ""
     if handed:
         left = 'uniform token orientation = "leftHanded"'
-        # The same cube with every face listed the other way round.
+        # The same cube with the winding of every face reversed.
         cube = CUBE.replace(
             "[3,2,1,0, 4,5,6,7, 0,1,5,4, 2,3,7,6, 1,2,6,5, 3,0,4,7]",
             "[0,1,2,3, 7,6,5,4, 4,5,1,0, 6,7,3,2, 5,6,2,1, 7,4,0,3]",

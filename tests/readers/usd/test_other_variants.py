@@ -171,7 +171,7 @@ def test_a_variant_that_does_not_compose_is_named(tmp_path: Path) -> None:
 
 
 def test_looks_are_not_compared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Many looks before a level of detail left nothing of the limit for it."""
+    """Many variants before a level of detail exhausted the limit."""
     looks = ["", 'over "Geo" {\n' + RED + "\n}", 'def Scope "Looks" {\ndef Material "Red" {\n}\n}']
     monkeypatch.setattr("gf_usd.readers.usd.asset.MOST_VARIANTS", 1)
     (note,) = found(stage(tmp_path, geo(BOX), *looks, geo(FINE)))

@@ -1,4 +1,4 @@
-"""Looks: constants, subsets, bindings, and shaders that are not read."""
+"""Shading: constants, subsets, bindings, and shaders that are not read."""
 
 import numpy as np
 import pytest

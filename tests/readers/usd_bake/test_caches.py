@@ -1,4 +1,4 @@
-"""Animated points: their frames, the way into them, and what is refused."""
+"""Animated points: their frames, the pre-roll, and what is refused."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a page says of a bake: its numbers, in words, and what is missing."""
+"""What a page shows of a bake: its numbers, as text, and what is missing."""
 
 from __future__ import annotations
 

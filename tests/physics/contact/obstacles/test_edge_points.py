@@ -195,7 +195,7 @@ def test_a_place_is_free_once_its_point_has_no_plane() -> None:
     place, new = points._placed(np.array([7, 11]))
     assert place.tolist() == [0, 1]
     assert new.tolist() == [1]
-    # the point at the last place was outside, and nobody looks for it any more
+    # the point at the last place was outside, and it is not searched any more
     assert points.key.tolist() == [7, 11, -1]
 
 
@@ -232,7 +232,7 @@ def ridge(z: float) -> Collider:
 
 @pytest.mark.slow
 def test_a_body_slides_along_edges_without_being_braked() -> None:
-    """The surface in front of a point looks along the edge: with its normal the body lost 8 % of
+    """The surface in front of a point faces along the edge: with its normal the body lost 8 % of
     its speed in 30 frames, or gained 3 %."""
     box = cube((-0.2, 0.005, -0.2), (0.4, 0.2, 0.4))
     solver = contact_solver(

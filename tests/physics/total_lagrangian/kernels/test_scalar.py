@@ -1,4 +1,4 @@
-"""The plain kernels, the fast ones and sums in NumPy: three ways to the same numbers."""
+"""Scalar kernels, SIMD kernels and sums in NumPy give the same numbers."""
 
 from __future__ import annotations
 

@@ -4,8 +4,8 @@ On a slope of angle theta with friction mu the block stays where tan(theta) < mu
 
     a = g (sin theta - mu cos theta)
 
-above: every particle that meets the floor is at Coulomb's limit, and together they bear the weight.
-The sand holds together (cohesion), and has more friction inside than under it.
+above: every particle in contact with the floor is at Coulomb's limit, and together they bear the
+weight.  The sand holds together (cohesion), and has more friction inside than under it.
 
 In free flight without gravity momentum and mass are conserved, whatever separates.
 """
