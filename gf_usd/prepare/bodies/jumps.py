@@ -40,5 +40,5 @@ def jump_notes(skeleton: Skeleton, times: Floats, lead: int) -> tuple[str, ...]:
     return (
         f"the animation jumps by {length_text(steps[at])} between time codes {before} and {after}"
         f"{ratio if beside[at] > 0.0 else ''}{others}, which throws the flesh: bake the parts"
-        f" before and after a cut by themselves (--range :{before} and --start {after})",
+        f" before and after a cut separately (--range :{before} and --start {after})",
     )

@@ -53,5 +53,5 @@ def test_a_cut_is_named_with_the_ranges_that_avoid_it() -> None:
     assert note == (
         "the animation jumps by 1.5 m between time codes 1010 and 1011, 75 times as far as in the"
         " frames beside it, and 1 more time later, which throws the flesh: bake the parts before"
-        " and after a cut by themselves (--range :1010 and --start 1011)"
+        " and after a cut separately (--range :1010 and --start 1011)"
     )
