@@ -194,13 +194,13 @@ class Scene:
         axes: tuple[bool, bool, bool] = (True, True, True),
         name: str | None = None,
     ) -> str:
-        """Hold or move the part of the bodies inside a box, and return the name of the pin.
+        """Fix or move the part of the bodies inside a box, and return the name of the pin.
 
         Parameters
         ----------
         low, high : (3,) [m] two opposite corners of the box at the start.
-        motion : of the box, as for `add_obstacle`; None: it is held in place.
-        axes : world axes along which it is held; it slides along the others.
+        motion : of the box, as for `add_obstacle`; None: it is fixed in place.
+        axes : world axes along which it is pinned; it slides along the others.
 
         Raises UsageError if the box has no volume or the name is taken.
         """

@@ -99,7 +99,7 @@ class TetLattice:
 
 @dataclass(frozen=True, kw_only=True)
 class TetAttachment:
-    """Points of a body's tetrahedra that a pin holds."""
+    """Points of a body's tetrahedra that are pinned."""
 
     pin: str  # name of the pin, as given
     body: int  # as in Particles

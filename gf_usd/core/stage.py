@@ -213,7 +213,7 @@ class StagePhysics:
 
     gravity: Triple | None = None  # [m/s^2] world; None: there is no scene
     scene: str = ""  # path of the PhysicsScene that gave it
-    attachments: tuple[str, ...] = ()  # paths of those that hold points of the bodies
+    attachments: tuple[str, ...] = ()  # paths of those that pin points of the bodies
     soft_attachments: tuple[str, ...] = ()  # paths of those that draw points by springs
     fields: tuple[str, ...] = ()  # of the scene, as texts of --field
     gravity_keys: tuple[tuple[float, Triple], ...] = ()  # time codes, where it changes
@@ -390,12 +390,12 @@ class Pin:
     anchors: Floats  # (k, 3) [m] at rest, world
     path: Floats  # (T, k, 3) [m] positions of the anchors at each frame; T = 1: fixed
     axes: tuple[bool, bool, bool] = (True, True, True)  # world axes that are held
-    # Whether the body is held at the region's boundary.  If not, the nodes inside it are held, and
+    # Whether the body is pinned at the region's boundary.  If not, nodes inside it are pinned, and
     # the particles there are as elastic as any: a core in a solid.
     sharp: bool = True
     rigid: bool = False  # whether it moves as a rigid body by the forces on it, and not as given
-    patch: bool = False  # part of a surface: where no node is inside, the nearest ones are held
-    body: int | None = None  # the only body that it holds; None: any that is in the region
+    patch: bool = False  # part of a surface: where no node is inside, the nearest ones are pinned
+    body: int | None = None  # the only body that it pins; None: any that is in the region
     bodies: frozenset[int] = frozenset()  # whose meshes the prim of the region is, or contains
     meshes: frozenset[str] = frozenset()  # prim paths of meshes all of whose points move with it
 

@@ -65,7 +65,7 @@ def box_region(
     """The region of a box.
 
     surfaces : (V, 3) [m] points of the body at rest; path : (F, V, 3) [m] at each frame. A box
-    moves with at least three points in it, or with all points where it holds fewer.
+    moves with at least three points in it, or with all points where it contains fewer.
     """
     low, high = parse_box(text, unit, option)
     corners = low + (high - low) * BOX_CORNERS

@@ -35,11 +35,11 @@ def make_pins(
 
     file : the USD form of the asset; rest : time code of the rest pose, None: the asset's own.
     option : --pin, or --rigid for regions that move by the forces on them.
-    bodies : (S,) of each surface of the solid: a part of a surface holds the body of that surface
+    bodies : (S,) of each surface of the solid: a part of a surface pins the body of that surface
         only; None: there is one body.
 
     Raises UsageError for a box that is none, InputError for a prim that is none or has no surface,
-    and for a region that holds nothing of the body.
+    and for a region that contains nothing of the body.
     """
     from gf_usd.geometry.regions import BOX, box_region, make_pin, make_rigid, part_of_joined
     from gf_usd.readers.usd_bake.regions import JOINT, PAINT, read_regions, read_weighted

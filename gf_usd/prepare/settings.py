@@ -221,7 +221,7 @@ def resolve(
 
     radius : r = (3 V / 4 pi)^(1/3) [m]; lowest : [m] of the asset along the floor's normal.
     animation : that the bones of --flesh follow; gravity_keys : time codes and [m/s^2] of the
-    stage; stated_fields : its fields; attached : attachments of the stage hold the body.
+    stage; stated_fields : its fields; attached : attachments of the stage pin the body.
     """
     paper = request.preset == "paper"
     authored = authored_rate(facts)
@@ -294,7 +294,7 @@ def _lift(
     """[m] by which bodies are moved up at the start.
 
     to_floor : [m] by which their lowest point would be moved to the floor, or to height 0 where
-    there is no floor.  animated : bones of --flesh hold them; attached : attachments do.
+    there is no floor.  animated : bones of --flesh support them; attached : attachments do.
     """
     placed = is_placed(request, facts)
     drop = ON_FLOOR if placed else request.parsed["drop"] or DEFAULT_DROP

@@ -164,7 +164,7 @@ def _pin(bone: Bone, cores: Cores, number: int) -> Pin:
 
 
 def itself(X: Floats) -> Floats:
-    """The points X (n, 3) themselves: `Pin.nearest` of a region whose boundary holds nothing.
+    """The points X (n, 3) themselves: `Pin.nearest` of a region without a pinned boundary.
 
     A function of the module, since plans with lambdas cannot be pickled.
     """

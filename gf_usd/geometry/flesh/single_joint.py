@@ -53,7 +53,7 @@ APART = 2.0
 def meshes_apart(
     paths: Sequence[str], bound: Mapping[str, int], solid: Solid, cores: Cores, cell: float
 ) -> list[str]:
-    """Those of some single-joint meshes that neither the flesh nor a core holds: they would fall.
+    """Those of some single-joint meshes without support by flesh or a core: they would fall.
 
     cell : [m] edge of a cell.
     """
@@ -100,7 +100,7 @@ def _held(
     )
 
 
-# [cells] from flesh that is held, beyond which flesh of several joints is not held by it.
+# [cells] from supported flesh, beyond which flesh of several joints is not supported by it.
 REACH = 1.0
 
 

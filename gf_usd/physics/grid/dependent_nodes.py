@@ -213,7 +213,7 @@ def split_nodes(
     A node whose lumped mass would fall below the bound by negative weights of a fit becomes
     dependent too.
 
-    held : (M,) nodes held by a pin; mirror : (M, 3) [cells] their mirror points, nan where deep.
+    held : (M,) nodes of a pin; mirror : (M, 3) [cells] their mirror points, nan where deep.
     share : (M,) e of `pins`. A mirrored node contributes |e| of its mass, since kinetic energy does
     not depend on the sign.
     body : (M,) the body of each node: the median mass is that of its body.
@@ -269,7 +269,7 @@ def mirrored(
     others: Ints,
     fits: Fits,
 ) -> sparse.csr_matrix:
-    """Rows (held, others) of held nodes: e times the field, on other nodes, at the mirror point.
+    """Rows (held, others) of pinned nodes: e times the field, on other nodes, at the mirror point.
 
     0 where the node is deep in the pin, or where no other node is around the mirror point.
     """

@@ -18,21 +18,21 @@ these rules the error is .7 to 1 % for any position of the nodes.
 A pin that is not `sharp`, such as a bone's core, has no mirrored nodes: all nodes inside it follow
 the motion, and the particles there keep their mass and stress.
 
-A node outside of a pin in the support of held particles only (`fully_prescribed`) acts on no free
+A node outside of a pin in the support of pinned particles only (`fully_prescribed`) acts on no free
 particle, and follows the motion as a deep one does.
 
 Both kinds are rows like those of light nodes, u_l = sum_j e_lj u_j + c_l(t), and forces are
 distributed by the transpose. Particles inside a pin move as prescribed and carry no stress.
 
-A pin may hold some axes and let the others slide, like a symmetry plane: the field is continued
-across the boundary, odd in held and even in free components, with D = s,
+A pin may fix some axes and let the others slide, like a symmetry plane: the field is continued
+across the boundary, odd in pinned and even in free components, with D = s,
 
     u_la = +u_a(X'_l)  for a free axis a
 
-and beyond the range of mirrored nodes by an affine fit. The row of such a node is that of a held
-one times a factor per axis: 1 held, -1 free; 0 held and deep. Where pins that hold different axes
-overlap, like the planes of a quarter model, a node holds the axes of all, mirrored at one boundary
-after another.
+and beyond the range of mirrored nodes by an affine fit. The row of such a node is that of a pinned
+one times a factor per axis: 1 pinned, -1 free; 0 pinned and deep. Where pins of different axes
+overlap, like the planes of a quarter model, a node has the pinned axes of all, mirrored at one
+boundary after another.
 
 The motion of a pinned region is interpolated from its anchors, points with a given position at
 every frame. Any other point of the region moves by the affine least squares fit of the anchors,
@@ -62,7 +62,7 @@ from gf_usd.core.matrices import signed_polar
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.core.stage import Pin
 
-# The soft material begins 0.21 cells before the last held node, and the last node inside a region
+# The soft material begins 0.21 cells before the last pinned node, and the last node inside a region
 # is half a cell from its boundary on average, so that nodes up to 0.71 cells outside are included:
 # this is the fraction of such a node's mass beyond a plane, (1.5 - 0.71)^3 / 6.
 OWNED = 0.082
@@ -74,29 +74,29 @@ HANGS = 0.01  # weight of a row on prescribed nodes above which X' moves farther
 
 @dataclass(frozen=True, kw_only=True)
 class PinnedPoints:
-    """The pin that holds each axis of a set of points."""
+    """The pin of each axis of a set of points."""
 
-    axes: Ints  # (n, 3) index of the pin that holds each axis; -1: free
+    axes: Ints  # (n, 3) index of the pin of each axis; -1: free
 
     @cached_property
     def pin(self) -> Ints:
-        """(n,) the first pin that holds a point along any axis; -1: free."""
+        """(n,) the first pin of a point along any axis; -1: free."""
         first = np.where(self.free, np.iinfo(self.axes.dtype).max, self.axes).min(1)
         return np.where(self.free.all(1), -1, first)
 
     @property
     def any(self) -> bool:
-        """Whether a pin holds a point."""
+        """Whether a point is pinned."""
         return bool((self.axes >= 0).any())
 
     @property
     def free(self) -> NDArray[np.bool_]:
-        """(n, 3) axes that no pin holds."""
+        """(n, 3) axes without a pin."""
         return np.asarray(self.axes < 0)
 
     @property
     def slide(self) -> NDArray[np.bool_]:
-        """(n,) whether a point is held along some axes only."""
+        """(n,) whether a point is pinned along some axes only."""
         return np.asarray(self.free.any(1) & ~self.free.all(1))
 
     def at(self, rows: Any) -> PinnedPoints:
@@ -105,7 +105,7 @@ class PinnedPoints:
 
 
 def pinned_by(pins: Sequence[Pin], X: Floats, body: Ints | None = None) -> PinnedPoints:
-    """The first pin that contains each point X (n, 3) [m], and later ones that hold other axes.
+    """The first pin that contains each point X (n, 3) [m], and later ones of other axes.
 
     body : (n,) of each point; None: all are of the first.
     """
@@ -129,7 +129,7 @@ def region_of_nodes(
 
     of_region : (M,) [kg] mass per node of each region's particles; mass : (M,) [kg] of all
     particles.
-    held : (M,) whether a pin holds a node already; numbers : of the regions' pins.
+    held : (M,) whether a node is pinned already; numbers : of the regions' pins.
     """
     out = np.full(len(mass), -1)
     best = OWNED * mass
@@ -147,7 +147,7 @@ def boundary_held(pins: Sequence[Pin], X: Floats, body: Ints | None = None) -> P
 
 
 def surface_held(pins: Sequence[Pin], X: Floats, body: Ints | None = None) -> PinnedPoints:
-    """`boundary_held` with the points on a boundary that a pin holds, as those of its own mesh.
+    """`boundary_held` with the points on the boundary of a pin, such as those of its own mesh.
 
     Whether the winding number counts them as inside is a matter of rounding.  u = g there.
     """
@@ -170,12 +170,12 @@ Given = Callable[[Ints, Floats], NDArray[np.float64]]  # of nodes by number, and
 def prescribed_nearby(
     pins: Sequence[Pin], held: PinnedPoints, X: Floats, h: float, body: Ints | None = None
 ) -> PinnedPoints:
-    """Pins of nodes X (n, 3) [m], with those of the body within NEAR of a held boundary.
+    """Pins of nodes X (n, 3) [m], with those of the body within NEAR of a pinned boundary.
 
     body : (n,) of each node; None: all are of the first.
 
-    A pin that holds no node itself holds none nearby, except for a patch, which may be smaller than
-    a cell: this holds the nearest ones.
+    A pin that contains no node pins none nearby, except for a patch, which may be smaller than
+    a cell: it pins the nearest ones.
     """
     body = np.zeros(len(X), np.int64) if body is None else body
     axes = held.axes.copy()
@@ -221,14 +221,14 @@ def fully_prescribed(
 
 
 def _holds(pin: Pin) -> bool:
-    """Whether a pin holds the body at its boundary along all axes."""
+    """Whether a pin fixes the body at its boundary along all axes."""
     return pin.sharp and not pin.rigid and all(pin.axes)
 
 
 def mirror_points(
     pins: Sequence[Pin], held: PinnedPoints, X: Floats, h: float, given: Given | None = None
 ) -> tuple[Floats, Floats]:
-    """X' (n, 3) [m] of held nodes near the boundary of their pins, nan for free and deep nodes; e
+    """X' (n, 3) [m] of pinned nodes near the boundary of their pins, nan for free and deep nodes; e
     (n,).
 
     given : weights of the fields at X' on nodes that are prescribed themselves; None: none.
@@ -257,7 +257,7 @@ def mirror_points(
 
 
 def axis_factors(held: PinnedPoints, mirror: Floats) -> Floats | None:
-    """(n, 3) factors of the rows of held nodes: see the module; None where no pin slides.
+    """(n, 3) factors of the rows of pinned nodes: see the module; None where no pin slides.
 
     mirror : (n, 3) of `mirror_points`.
     """
@@ -306,11 +306,11 @@ def interpolation(at: Floats, nodes: Ints) -> sparse.csr_matrix:
 
 
 class PinConstraint:
-    """The pins of a solver: held points, and their prescribed positions.
+    """The pins of a solver: pinned points, and their prescribed positions.
 
     X : (N, 3) [m] particles; body : (N,) of each, None: there is one.
 
-    Raises InputError for pins that hold all particles; `check` for a pin that holds no node.
+    Raises InputError for pins that contain all particles; `check` for one that contains no node.
     """
 
     def __init__(self, pins: Sequence[Pin], X: Floats, body: Ints | None = None) -> None:
@@ -337,7 +337,7 @@ class PinConstraint:
         return any(motion.moving for motion in self.motions)
 
     def check(self, nodes: PinnedPoints) -> None:
-        """Raise InputError for a pin that holds no node of the grid; of cores, if none does."""
+        """Raise InputError for a pin that contains no node of the grid; of cores, if none does."""
         characters: dict[int | None, list[int]] = {}
         for k, pin in enumerate(self.pins):
             if not pin.sharp and not pin.rigid:
@@ -372,7 +372,7 @@ class PinConstraint:
         return out
 
     def pose(self, held: PinnedPoints, X: Floats, frame: float) -> tuple[Floats, Floats]:
-        """x (n, 3) [m] and F (n, 3, 3) of held points; X and I along what is free."""
+        """x (n, 3) [m] and F (n, 3, 3) of pinned points; X and I along what is free."""
         x, F = X.copy(), np.broadcast_to(np.eye(3), (len(X), 3, 3)).copy()
         for index, motion in enumerate(self.motions):
             own = held.axes == index
@@ -392,8 +392,8 @@ class PinConstraint:
         frame_time: float,
         offset: Floats,
     ) -> Pose:
-        """A pose with the held points at their prescribed positions; offset (3,) [m] of the moving
-        frame.
+        """A pose with the pinned points at their prescribed positions; offset (3,) [m] of the
+        moving frame.
 
         Along a free axis they are interpolated from the grid, like all others.
         """

@@ -98,7 +98,7 @@ class Stencil:
     shift: Floats  # (bodies, 3) [m] that separates the bodies on the grid: they share no node
     node_body: Ints  # (M,) the body of each node
     held: PinnedPoints  # pins of all nodes
-    mirror: Floats  # (M, 3) [m] mirror points of held nodes; nan elsewhere
+    mirror: Floats  # (M, 3) [m] mirror points of pinned nodes; nan elsewhere
     mirror_share: Floats  # (M,) e, factor on the field there: see `pins`
     sorted_keys: Ints = field(repr=False)  # (M,) linear keys, ascending
     sorted_node: Ints = field(repr=False)  # (M,) the node of each sorted key

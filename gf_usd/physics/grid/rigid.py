@@ -146,7 +146,7 @@ def rigid_regions(stencil: Stencil, m: Floats, pins: Sequence[Pin]) -> RigidRegi
 
     m : (N,) [kg] of the particles; pins : all of them, as indexed by `stencil.region`.
 
-    Raises InputError for a region that holds no particles, or has too small a moment of inertia.
+    Raises InputError for a region that contains no particles, or has too small a moment of inertia.
     """
     if stencil.region is None:
         return None

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 BONE_RADIUS = 0.5  # of the distance to the skin
 GOAL_FREQUENCY = 4.0  # [Hz] of painted goals: flesh of a person swings at 3 to 6
 GOAL_DAMPING = 0.5
-HANGING = 0.25  # share of the points of a mesh at the flesh that holds it, below which it hangs
+HANGING = 0.25  # share of the points of a mesh at the flesh that supports it, below which it hangs
 SAME_POSE = 1e-3  # of the skeleton: poses that differ by less are one
 JUMP = 2.0  # times the largest displacement in a frame: beyond it, not a cycle
 
@@ -361,7 +361,7 @@ def _goal_weights(
     cell: float,
 ) -> tuple[dict[str, Floats], float | None, tuple[str, ...]]:
     """Goal weights by prim path, the frequency [Hz] of their springs, and notes: painted ones, or,
-    where neither these nor a frequency are given, those of meshes that no flesh holds.  The
+    where neither these nor a frequency are given, those of meshes that no flesh supports.  The
     frequency is None where there are no springs.
     """
     from gf_usd.geometry.flesh.single_joint import loose_meshes, single_joint_meshes
@@ -420,7 +420,7 @@ def _held(surfaces: Sequence[Surface], paths: Sequence[str]) -> dict[str, Floats
 
 
 def _loose_meshes(paths: Sequence[str]) -> tuple[str, ...]:
-    """The note on meshes of several joints that no flesh holds."""
+    """The note on meshes of several joints that no flesh supports."""
     if not paths:
         return ()
     follows, touches, it, its, pose = (
@@ -437,7 +437,7 @@ def _loose_meshes(paths: Sequence[str]) -> tuple[str, ...]:
 
 
 def _hanging_meshes(near: Mapping[str, float]) -> tuple[str, ...]:
-    """Notes on meshes of several joints that the flesh holds at few of their points."""
+    """Notes on meshes of several joints that the flesh supports at few of their points."""
     return tuple(
         f"<{path}> follows several joints, and only {percent_text(share)} of its points are near"
         f" the flesh that holds it: the rest hangs from there; --goal-frequency pulls it to its"
@@ -461,7 +461,7 @@ def _animation_times(
 
 
 def _apart_meshes(paths: Sequence[str]) -> tuple[str, ...]:
-    """The note on meshes that move with a single joint and that no flesh holds."""
+    """The note on meshes that move with a single joint and that no flesh supports."""
     if not paths:
         return ()
     moves, touches, is_, it = (

@@ -31,7 +31,7 @@ def unpinned_animation_notes(
         if pin.rigid:
             continue
         mine = pin.holds(particles.X, particles.body)
-        if not mine.any():  # a region may hold nodes of the grid only
+        if not mine.any():  # a region may contain nodes of the grid only
             far = np.linalg.norm(particles.X - pin.anchors.mean(0), axis=1)
             own = True if pin.body is None else particles.body_of == pin.body
             mine[np.argmin(np.where(own, far, np.inf))] = True

@@ -197,7 +197,7 @@ def require_solid_pins(
 
     Raises
     ------
-    InputError : next to solid bodies, a pin holds nothing but flowing ones; a pin moves, or an
+    InputError : next to solid bodies, a pin contains only flowing ones; a pin moves, or an
         attachment has springs.
     UsageError : a pin, and all bodies flow or some can be converted.
     """

@@ -121,7 +121,7 @@ class Request(RequestOptions):
         if self.procrustes and self.pins:
             raise UsageError(
                 f"--procrustes {self.procrustes:g} moves the body towards its rest shape about its"
-                " mean, and --pin holds it elsewhere",
+                " mean, which conflicts with --pin",
                 "leave one of the two out",
             )
         if self.rigid and (self.preset or self.wls or self.procrustes):

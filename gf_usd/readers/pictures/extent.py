@@ -138,7 +138,7 @@ class MotionBoxes:
     def static_prims(self) -> set[int]:
         """Indices of the prims whose box is constant, and that are not bodies of a bake.
 
-        A body that a pin holds whole stays where it is, but is part of the motion.
+        A body that is pinned as a whole stays where it is, but is part of the motion.
         """
         return self._static
 
