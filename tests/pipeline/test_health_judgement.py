@@ -85,12 +85,12 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "injected": (
         summary(Health(elastic=10.0, injected=0.09)),
         summary(Health(elastic=10.0, injected=0.11)),
-        "put 0.11 J into the body, 1.1 %",
+        "added 0.11 J to the body, 1.1 %",
     ),
     "planes": (
         summary(Health(elastic=10.0, injected=0.0099, planes=0.0099), Health(planes=-0.1)),
         summary(Health(elastic=10.0, injected=0.01, planes=0.01), Health(planes=-0.1)),
-        "put 0.01 J into the bodies, 0.1 % of",
+        "added 0.01 J to the bodies, 0.1 % of",
     ),
     "penetration": (
         summary(Health(penetration=0.099, kinetic=5.0)),

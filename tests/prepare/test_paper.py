@@ -46,8 +46,8 @@ REFUSED = [
     ),
     (
         {"pins": ("/Duck",), "procrustes": 0.1},
-        "--procrustes 0.1 moves the body towards its rest shape about its mean, and --pin holds it"
-        " elsewhere",
+        "--procrustes 0.1 moves the body towards its rest shape about its mean, which"
+        " conflicts with --pin",
         "leave one of the two out",
     ),
 ]

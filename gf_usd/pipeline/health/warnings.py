@@ -221,7 +221,7 @@ def _injected(h: HealthSummary) -> MessageAndHint:
     share = abs(given) / h["energy_scale_J"] if h["energy_scale_J"] else 0.0
     if share <= ALTERED:
         return None
-    done = f"put {given:.3g} J into" if given > 0.0 else f"took {-given:.3g} J out of"
+    done = f"added {given:.3g} J to" if given > 0.0 else f"removed {-given:.3g} J from"
     return (
         f"shape corrections {done} the body, {percent_text(share)} of the energy scale of the body",
         "lower --procrustes, or use --no-wls",
@@ -233,7 +233,7 @@ def _planes(h: HealthSummary) -> MessageAndHint:
     if share < PLANES_GAIN:
         return None
     return (
-        f"contact added {share * h['energy_scale_J']:.3g} J into the bodies,"
+        f"contact added {share * h['energy_scale_J']:.3g} J to the bodies,"
         f" {percent_text(share)} of their energy scale",
         f"{_gentler(h)}, or use more --particles; if bodies overlap at the start, move"
         " them apart in the asset",
