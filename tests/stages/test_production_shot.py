@@ -161,7 +161,7 @@ def test_animation_continues_beneath_the_bake(baked: Baked) -> None:
                 for stage in (source, result)
             )
             assert ours == theirs
-    # Under an animated group, turned and mirrored, they go on as the animation had them a frame
+    # Under an animated group, turned and mirrored, they move as the animation did a frame
     # before the start, and fall: 1/2 g t^2 of one frame.
     for path in (TALL, SEAT):
         rest = world_points(source, path, START)

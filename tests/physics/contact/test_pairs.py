@@ -72,7 +72,7 @@ def test_a_frame_that_blows_up_ends_at_once_and_without_a_warning(monkeypatch):
 @pytest.mark.parametrize("body", [0, 1])
 def test_a_body_that_blows_up_is_named_and_no_other(body: int, monkeypatch) -> None:
     """Its mean was subtracted from the others, and the first of all was reported; and without
-    planes the frame went on, in which the others met a body that is nowhere."""
+    planes the frame continued, in which the others met a body that is nowhere."""
     solver = contact_solver(
         cube(path="/Low"), cube((0.0, 3.0, 0.0), path="/High"), particles=130, frames=2, fps=3.0,
         gravity=(0.0, -9.81, 0.0), velocity=[(0.0, 0.0, 0.0), (0.0, -30.0, 0.0)],

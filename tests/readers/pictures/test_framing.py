@@ -49,7 +49,7 @@ def Cube "Ball" {{
 
 
 def drops(falling: int) -> str:
-    """Ten points on the table, some of which fall from it and from then on go on to."""
+    """Ten points on the table, some of which fall from it to the heights of FALLS."""
     rows = []
     for k, y in enumerate(FALLS):
         points = [(float(n - 5), y if n < falling else 0.1 + 0.01 * k, 0.0) for n in range(10)]

@@ -171,6 +171,6 @@ def test_points_without_weights_follow_the_nearest_bones_of_the_only_skeleton(
     )
     weights = found.weights["/Arm/Person"].toarray()
     np.testing.assert_allclose(weights.sum(1), 1.0)
-    # A's segment is [0, 1] along x, B's goes on as far: both are as near where they meet.
+    # A's segment is [0, 1] along x, B's the next: where they meet, both are equally near.
     np.testing.assert_allclose(weights[:, 0], [1.0, 0.5, 0.0, 1.0])
     assert [bone.name for bone in found.bones] == ["/Arm/Skel:A", "/Arm/Skel:A/B"]
