@@ -28,9 +28,9 @@ from gf_usd.prepare.options.table import OPTIONS  # noqa: E402
 PAGE = ROOT / "docs" / "api.md"
 GROUPS = {
     "Bake": ("bake", "BakeResult", "VariantResult", "HealthWarning", "Material", "materials"),
-    "Look before and after": ("inspect", "Inspection", "check", "CheckResult", "Finding"),
+    "Inspect and check": ("inspect", "Inspection", "check", "CheckResult", "Finding"),
     "Read a bake": ("read", "Bake", "BakeFrame", "Health", "Settings"),
-    "Show": ("preview", "Preview", "report"),
+    "Pictures and reports": ("preview", "Preview", "report"),
     "Compare": ("compare", "Comparison"),
     "Deliver": ("deliver", "Delivered", "DeliveredBody", "DeliveredSplats", "retime", "Retimed"),
     "Fit a material": ("fit", "FitResult", "Estimate", "Reproduced"),

@@ -117,12 +117,12 @@ class Simulation(Iterator[SimulationFrame]):
 
     @property
     def materials(self) -> tuple[Material, ...]:
-        """What the materials of the particles index."""
+        """The materials, by the indices in `particles.material`."""
         return self._plan.variants[0].table
 
     @property
     def settings(self) -> Settings:
-        """Everything that decides the motion."""
+        """All settings of the solver."""
         return self._plan.settings
 
     @property
@@ -221,7 +221,7 @@ class Simulation(Iterator[SimulationFrame]):
     def save(self) -> dict[str, Any]:
         """Return the state, for `load` in a simulation of the same scene.
 
-        It is that after the last frame, with what was set since, and with forces and acceleration.
+        It is the state after the last frame, with velocities, forces and accelerations set since.
         """
         solver = self._running()
         if self._last is None:

@@ -244,7 +244,7 @@ class Settings:
 
     @property
     def pushes(self) -> float:
-        """[m/s^2] that the fields together hardly ever exceed."""
+        """[m/s^2] sum of the strengths of all fields, which they rarely exceed."""
         return sum(field.most for field in self.fields)
 
     @property
@@ -285,8 +285,8 @@ class Health:
     inverted: int = 0  # particles with J <= 0
     penetration: float = 0.0  # [m] deepest contact sample in the floor during the frame
     overlap: float = 0.0  # [m] deepest contact sample in a body or obstacle; at least `pierced`
-    overlap_pair: str | None = None  # text on the body and what it was in; None: not known
-    overlap_names: tuple[str, str] | None = None  # the two; None also where an edge is deeper
+    overlap_pair: str | None = None  # text on the body and what it overlapped; None: unknown
+    overlap_names: tuple[str, str] | None = None  # names of both; None also where an edge is deeper
     let_go: int = 0  # most contact samples released at the same time
     friction_capped: int = 0  # contact samples that crept at the stability limit (paper friction)
     rollbacks: int = 0  # times the frame was recomputed with half the step
@@ -295,10 +295,10 @@ class Health:
     stress_capped: int = 0  # particles whose stress was cut during the frame
     flying: int = 0  # bodies in free flight, in a frame without substeps
     sleeping: int = 0  # bodies asleep, in a frame without substeps
-    injected: float = 0.0  # [J] given between substeps: WLS, shape correction, new contact planes
+    injected: float = 0.0  # [J] added between substeps: WLS, shape correction, new contact planes
     planes: float = 0.0  # [J] of `injected`, from new contact planes
     plastic_dissipation: float | None = None  # [J] lost to flow in the frame; None: no law flows
-    converted: int | None = None  # particles that were so far; None: none can be
+    converted: int | None = None  # particles converted so far; None: none can be
     conversion_dissipation: float | None = None  # [J] of `plastic_dissipation`, by conversion
     # [J] lost to rolling resistance and settling in the frame; None: neither acts
     settling_dissipation: float | None = None
@@ -307,22 +307,20 @@ class Health:
     fallen_kinetic: float | None = None
     # Flowing particles below the floor or every obstacle; None: nothing flows without limit
     lost: int | None = None
-    flow_volume: float | None = None  # of the other flowing particles over that at rest
-    flow_per_cell: float | None = None  # of them in a cell of the grid that has any
-    pierced: float | None = (
-        None  # [m] deepest edge or corner of an obstacle in a body; None: not measured
-    )
+    flow_volume: float | None = None  # volume of the other flowing particles over that at rest
+    flow_per_cell: float | None = None  # their mean number in grid cells that have any
+    # [m] depth of the deepest edge or corner of an obstacle in a body; None: not measured
+    pierced: float | None = None
     pierced_through: bool | None = None  # whether it comes out on the other side
     pierced_pair: str | None = None  # text on the obstacle and the body
-    inside_share: float | None = None  # of the surface, deep in a body; None: not measured
-    inside_depth: float | None = None  # [m] of the deepest of it
-    outside_share: float | None = None  # of the particles, far out of the mesh; None: not measured
-    outside_depth: float | None = None  # [m] of the farthest of them
-    outside_mesh: str | None = None  # text on the mesh with the longest faces
-    # Largest volume of a body over that at rest, and its prim path; None: no particle has twice its
-    # volume
+    inside_share: float | None = None  # share of the surface deep in a body; None: not measured
+    inside_depth: float | None = None  # [m] greatest depth of the surface
+    outside_share: float | None = None  # share of particles far out of the mesh; None: not measured
+    outside_depth: float | None = None  # [m] largest distance of these particles
+    outside_mesh: str | None = None  # text on the mesh with the longest edges
+    # largest volume of a body over that at rest; None: no particle has twice its volume
     expanded: float | None = None
-    expanded_body: str | None = None
+    expanded_body: str | None = None  # prim path of that body
     stretched: float | None = None  # largest share of a body's volume stretched above STRETCH
     stretched_body: str | None = None  # prim path of that body; None: nothing is stretched so
 
