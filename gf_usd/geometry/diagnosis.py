@@ -203,35 +203,49 @@ def _holes(rings: list[Floats], area: float) -> tuple[Hole, ...]:
     return tuple(sorted(made, key=lambda hole: -hole.share))
 
 
-def faults(seen: Diagnosis) -> list[str]:
-    """Phrases for the faults of a mesh as the boundary of a solid."""
+def faults(*seen: Diagnosis) -> list[str]:
+    """Phrases for the faults of meshes as the boundary of a solid; numbers are sums over them."""
     found = []
-    if seen.holes:
-        share = f"{percent_text(seen.hole_share)} of the closed area"
-        found.append(f"{counted(len(seen.holes), 'hole')} ({share})")
-    if against := sum(shell.against for shell in seen.shells):
+    if holes := sum(len(one.holes) for one in seen):
+        worst = max(seen, key=lambda one: one.hole_share)
+        share = f"{percent_text(worst.hole_share)} of the closed area"
+        where = share if len(seen) == 1 else f"at most {share}, of <{worst.path}>"
+        found.append(f"{counted(holes, 'hole')} ({where})")
+    shells = [shell for one in seen for shell in one.shells]
+    if against := sum(shell.against for shell in shells):
         found.append(f"{counted(against, 'triangle')} facing the other way")
-    if inward := seen.with_winding("inside out"):
-        found.append(f"{inward} of {counted(len(seen.shells), 'shell')} inside out")
-    if inner := sum(shell.inner for shell in seen.shells):
+    if inward := sum(one.with_winding("inside out") for one in seen):
+        found.append(f"{inward} of {counted(len(shells), 'shell')} inside out")
+    if inner := sum(shell.inner for shell in shells):
         found.append(f"{counted(inner, 'shell')} inside others that bound no volume")
-    if seen.duplicates:
-        found.append(counted(seen.duplicates, "duplicate triangle"))
+    if duplicates := sum(one.duplicates for one in seen):
+        found.append(counted(duplicates, "duplicate triangle"))
     return found
 
 
-def tolerated_defects(seen: Diagnosis) -> str:
-    """A note on the faults with which a mesh is filled nevertheless; "" where it has none.
+SEPARATE = 3  # meshes with faults up to which each has a note of its own
+
+
+def tolerated_defects(seen: Sequence[Diagnosis]) -> list[str]:
+    """Notes on the faults with which meshes are filled nevertheless.
 
     The generalized winding number is robust to holes, duplicate faces and single faces of reversed
     winding. A whole part that faces inward inside another one is taken as a cavity.
     """
-    found = faults(seen)
-    if not found:
-        return ""
-    small = any(hole.share <= HOLE_LIMIT for hole in seen.holes)
-    hint = "; --repair fixes this" if small or len(found) > bool(seen.holes) else ""
-    return f"<{seen.path}> is filled despite {', '.join(found)}{hint}"
+    faulty = [one for one in seen if faults(one)]
+    if len(faulty) > SEPARATE:
+        text = f"{len(faulty)} meshes are filled despite {', '.join(faults(*faulty))}"
+        return [text + _remedy(faulty)]
+    return [
+        f"<{one.path}> is filled despite {', '.join(faults(one))}{_remedy([one])}" for one in faulty
+    ]
+
+
+def _remedy(faulty: Sequence[Diagnosis]) -> str:
+    """How to repair one of these meshes at least; "" where all have holes only that stay open."""
+    small = any(hole.share <= HOLE_LIMIT for one in faulty for hole in one.holes)
+    other = any(len(faults(one)) > bool(one.holes) for one in faulty)
+    return "; --repair fixes this" if small or other else ""
 
 
 FILLED_SHARE = 0.9  # of the enclosed volume, overlaps counted twice: a warning if less is filled

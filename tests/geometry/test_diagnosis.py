@@ -19,7 +19,7 @@ def test_a_box_is_watertight_with_its_volume_and_area():
     assert seen.shells[0].winding == "outward"
     np.testing.assert_allclose(seen.shells[0].size, [2.0, 3.0, 4.0])
     assert faults(seen) == []
-    assert tolerated_defects(seen) == ""
+    assert tolerated_defects([seen]) == []
 
 
 def test_faces_are_counted_as_authored():
@@ -38,7 +38,9 @@ def test_a_box_without_a_lid_has_one_hole_of_a_sixth():
     np.testing.assert_allclose(hole.center, [0.5, 0.5, 0.0])
     assert seen.hole_share == pytest.approx(1 / 6)
     # All that is wrong is a hole that repair would leave: it is not recommended.
-    assert tolerated_defects(seen) == "</Body> is filled despite 1 hole (17 % of the closed area)"
+    assert tolerated_defects([seen]) == [
+        "</Body> is filled despite 1 hole (17 % of the closed area)"
+    ]
 
 
 def test_the_hole_is_found_whatever_way_the_triangles_face():
@@ -84,14 +86,27 @@ def test_a_cavity_is_taken_off_the_volume():
     seen = diagnose(hollow)
     assert [shell.winding for shell in seen.shells] == ["outward", "cavity"]
     assert seen.volume == pytest.approx(diagnose(outer).volume * (1.0 - 0.5**3))
-    assert tolerated_defects(seen) == ""
+    assert tolerated_defects([seen]) == []
 
 
 def test_faults_are_reported_in_words():
     triangles = np.concatenate([CUBE_TRIANGLES[2:11], CUBE_TRIANGLES[11:, ::-1]])
     seen = diagnose(surface(CUBE_POINTS, np.concatenate([triangles, triangles[:2]])))
     assert "2 duplicate triangles" in faults(seen)
-    assert tolerated_defects(seen).endswith("--repair fixes this")
+    (note,) = tolerated_defects([seen])
+    assert note.endswith("--repair fixes this")
+
+
+def test_many_meshes_with_faults_have_one_note():
+    open_ = [surface(CUBE_POINTS, CUBE_TRIANGLES[2:], path=f"/Open{k}") for k in range(2)]
+    slit = surface(CUBE_POINTS, CUBE_TRIANGLES[1:], path="/Slit")
+    doubled = surface(CUBE_POINTS, np.concatenate([CUBE_TRIANGLES, CUBE_TRIANGLES[:2]]))
+    seen = [diagnose(s) for s in (*open_, cube(), slit, doubled)]
+    assert len(tolerated_defects(seen[:4])) == 3
+    assert tolerated_defects(seen) == [
+        "4 meshes are filled despite 3 holes (at most 17 % of the closed area, of </Open0>), "
+        "2 duplicate triangles; --repair fixes this"
+    ]
 
 
 def test_an_edge_of_four_triangles_is_not_manifold():

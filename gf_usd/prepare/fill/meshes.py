@@ -149,7 +149,7 @@ def build_meshes(
     by_path = {} if turned else {one.path: one for one in known if one.path not in changed}
     diagnoses = [by_path.get(s.path) or diagnose(s) for s in solid.surfaces]
     lost = lost_volume_warning(diagnoses, solid.volume, solid.adding_nothing)
-    defects = (*(tolerated_defects(diagnosis) for diagnosis in diagnoses), lost)
+    defects = (*tolerated_defects(diagnoses), lost)
     left = {path for path, _ in solid.embedded} - walls.outer.keys()
     not_joined = _not_joined(oriented, groups, why_not) if left else ()
     notes_on = (*turned, *joined.notes, *not_joined, *filter(None, defects), *walls.notes)
