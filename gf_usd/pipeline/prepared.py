@@ -55,13 +55,12 @@ class Prepared:
     refill: Refill | None = None  # fills the same asset at a lower resolution; None: not needed
     warned: frozenset[str] = frozenset()  # warnings of USD that are in the plan's notes
     until_rest: Plan | None = None  # the plan before its length was limited
-    # Of this bake at any length, for the number of substeps alone; None: of its own length.
-    shared_solvers: Solvers | None = None
+    given_solvers: Solvers | None = None  # whose demand is known already; None: made by `solvers`
 
     @cached_property
     def solvers(self) -> Solvers:
         """The solvers of its variants."""
-        return self.shared_solvers or Solvers(
+        return self.given_solvers or Solvers(
             partial(solver_of, self.plan), len(self.plan.particles)
         )
 
@@ -121,7 +120,7 @@ class Prepared:
         def scaled(factor: float) -> float:
             made = _mass_scaled(self.until_rest or plan, factor)
             solvers = Solvers(partial(solver_of, made), len(made.particles), keep=False)
-            whole = replace(self, plan=made, shared_solvers=solvers)
+            whole = replace(self, plan=made, given_solvers=solvers)
             return with_shot_length(whole).cost["usual_seconds"]
 
         return shortcuts(
@@ -269,7 +268,8 @@ def _shortened(
         extension=extension,
         notes=(*notes, note),
     )
-    return replace(prepared, plan=shorter, until_rest=plan)
+    solvers = prepared.solvers.of_length(partial(solver_of, shorter))
+    return replace(prepared, plan=shorter, until_rest=plan, given_solvers=solvers)
 
 
 def identity_of(plan: Plan, variant: Variant) -> dict[str, str]:

@@ -19,6 +19,7 @@ from gf_usd.core.stage import Collider
 from gf_usd.core.units import bytes_text
 from gf_usd.layers.stage import freeze_at_last_sample, freeze_source
 from gf_usd.physics.total_lagrangian.settling import CALM, LOW
+from gf_usd.pipeline.cost.solvers import Demand
 from gf_usd.pipeline.measures.rest import Rest
 from gf_usd.prepare.options.texts import Length, parse_frames
 from gf_usd.prepare.settings import settled_frames, shot_frames
@@ -325,6 +326,19 @@ def test_what_would_take_too_long_to_rest_ends_with_the_shot(monkeypatch, limit,
         r"usually takes about \d+ frames, at most \d+; use frames rest for that$", note
     )
     assert plan.notes == plans[1].notes, "reports do not depend on the speed of the machine"
+
+
+def test_a_bake_limited_to_a_shot_is_examined_once(monkeypatch) -> None:
+    monkeypatch.setattr("gf_usd.pipeline.prepared.REST_WORK", 100.0)
+    examined = []
+    of = Demand.of
+    monkeypatch.setattr(Demand, "of", lambda solver: examined.append(solver) or of(solver))
+    limited = gf_usd.inspect(SPHERE, **FEW)
+    assert limited.cost is not None
+    assert len(examined) == 1
+    shot = gf_usd.inspect(SPHERE, range=(1, None), **FEW)
+    assert shot.cost is not None
+    assert limited.cost["per_material"] == shot.cost["per_material"]
 
 
 @pytest.mark.parametrize("clips", [False, True])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -65,13 +65,19 @@ class Solvers:
 
     build : makes the solver of a variant, in its initial state.
     particles : of each variant; keep : small solvers are kept for `take`.
+    demands : those that are known, by the name of the variant.
     """
 
     def __init__(
-        self, build: Callable[[Variant], Solver], particles: int, *, keep: bool = True
+        self,
+        build: Callable[[Variant], Solver],
+        particles: int,
+        *,
+        keep: bool = True,
+        demands: Mapping[str, Demand] | None = None,
     ) -> None:
         self._build, self._particles, self._keep = build, particles, keep
-        self._demands: dict[str, Demand] = {}
+        self._demands = dict(demands or {})
         self._kept: dict[str, tuple[Solver, int]] = {}  # with the epoch of Taichi
 
     def demand(self, variant: Variant) -> Demand:
@@ -82,6 +88,10 @@ class Solvers:
                 self._kept[variant.name] = solver, epoch()
             self._demands[variant.name] = Demand.of(solver)
         return self._demands[variant.name]
+
+    def of_length(self, build: Callable[[Variant], Solver]) -> Solvers:
+        """The solvers of the same bake with another number of frames, of the same demand."""
+        return Solvers(build, self._particles, keep=self._keep, demands=self._demands)
 
     def substeps(self, variant: Variant) -> int:
         """Substeps of a sample."""
