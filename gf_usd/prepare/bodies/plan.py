@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 
 LEAST = 16  # particles: what has fewer is no more than a lump
+REACH = 2.0  # [spacings] within which a mesh that is not filled touches a body
 CELL = 2.0  # [spacings] parts in neighboring cells have two planes of nodes or more in common
 
 
@@ -202,7 +203,8 @@ def _embedded(
     body: Ints,
     owners: dict[str, str],
 ) -> dict[str, int]:
-    """The body that each surface moves with: its own, or the one nearest to most of its points.
+    """The body that each surface moves with: its own, or the one nearest to most of its points;
+    where that is smaller than the surface, one that is not and that touches it, if there is one.
 
     filled : of the meshes that are filled, or parts of one (`Solid.filled`).
 
@@ -214,6 +216,7 @@ def _embedded(
     for path, k in filled.items():
         of_owner.setdefault(belongs.get(path, ""), set()).add(k)
     every = set(filled.values())
+    sizes = _sizes(particles.X, body)
     trees: dict[frozenset[int], Any] = {}
     out = {}
     for surface in asset.surfaces:
@@ -228,5 +231,27 @@ def _embedded(
         if mine not in trees:
             trees[mine] = kd_tree(particles.X[rows])
         near = rows[trees[mine].query(surface.points)[1]]
-        out[surface.path] = int(np.bincount(body[near]).argmax())
+        k = int(np.bincount(body[near]).argmax())
+        large = sizes >= _sizes(surface.points, np.zeros(len(surface.points), int))
+        if not large[k]:  # such as a tooth in an open head, which comes off
+            k = _touched(surface.points, rows[large[body[rows]]], particles, body, k)
+        out[surface.path] = k
     return out
+
+
+def _sizes(X: Floats, of: Ints) -> Floats:
+    """(B,) [m] diagonal of the bounding box of the points X (n, 3) of each body."""
+    low = np.full((int(of.max(initial=0)) + 1, 3), np.inf)
+    high = -low
+    np.minimum.at(low, of, X)
+    np.maximum.at(high, of, X)
+    return np.where(np.isfinite(low[:, 0]), np.linalg.norm(high - low, axis=1), 0.0)
+
+
+def _touched(points: Floats, rows: Ints, particles: Particles, body: Ints, otherwise: int) -> int:
+    """The body of the particles `rows` that is at most of the points (n, 3) [m] within REACH."""
+    if not len(rows):
+        return otherwise
+    gap, near = kd_tree(particles.X[rows]).query(points)
+    close = gap <= REACH * particles.lattice
+    return int(np.bincount(body[rows[near[close]]]).argmax()) if close.any() else otherwise
