@@ -225,16 +225,20 @@ def hole_fraction(points: Floats, triangles: Ints, edges: Ints | None = None) ->
     return float(fan / (area + fan))
 
 
-def build_solid(asset: Asset, *, repaired: bool = False) -> Solid:
+def build_solid(
+    asset: Asset, *, repaired: bool = False, unfilled: Mapping[str, str] | None = None
+) -> Solid:
     """Sort an asset's surfaces into those that bound a solid and those that are embedded in it.
 
     repaired : --repair was given, so that no hint names it.
+    unfilled : prim paths of surfaces that bound none whatever their holes, and why.
 
     Raises InputError where none bounds a solid.
     """
     kept, triangles, sources, embedded = [], [], [], []
     for surface in asset.surfaces:
         welded, source, reason = closed_triangles(surface)
+        reason = reason or (unfilled or {}).get(surface.path, "")
         if reason:
             embedded.append((surface.path, reason))
             continue

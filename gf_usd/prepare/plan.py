@@ -28,6 +28,7 @@ from gf_usd.prepare.outputs import Outputs, SplatSequence, Stamp, Stamps
 from gf_usd.prepare.settings import Extension
 
 if TYPE_CHECKING:
+    from gf_usd.geometry.flesh.sheets import Sheet
     from gf_usd.geometry.repair import Repairs
 
 
@@ -71,6 +72,7 @@ class Plan:
     stated_heavy: str = ""  # what gives it that density, as "physics:mass of </Ball>"
     pins: tuple[Pin, ...] = ()
     goals: Goals | None = None
+    sheets: Mapping[str, Sheet] = field(default_factory=dict)  # of characters, by prim path
     cycle: int = 0  # frames of a period that is repeated before it is written; 0: none is
     repeats: int = 0  # times that it is, at most where it ends by itself
     until_periodic: bool = False  # only until it is periodic
@@ -125,7 +127,7 @@ class Plan:
         """Embedded points (n, 3) [m] at rest: vertices and captured Gaussians, by prim path, and
         corners of tetrahedra, by `TetLattice.key`."""
         exported = any(self.sequences)
-        every = embedded_points(self.asset)
+        every = embedded_points(self.asset, self.sheets)
         return {
             s.path: every[s.path]
             for s in self.asset.surfaces
@@ -139,11 +141,15 @@ class Plan:
         return size / self.settings.frames if self.choices.settled else size
 
 
-def embedded_points(asset: Asset) -> dict[str, Floats]:
-    """Points (n, 3) [m] at rest that move with bodies, by prim path, whatever is written."""
-    return {
+def embedded_points(asset: Asset, sheets: Mapping[str, Sheet] | None = None) -> dict[str, Floats]:
+    """Points (n, 3) [m] at rest that move with bodies, by prim path, whatever is written.
+
+    sheets : of characters, by prim path; those of the flesh that they are next to stand for theirs.
+    """
+    every = {
         s.path: s.points if s.splats is None else s.splats.embedded_points for s in asset.surfaces
     }
+    return every | {path: sheet.near for path, sheet in (sheets or {}).items()}
 
 
 def command_line(source: Path, **options: Any) -> str:

@@ -31,6 +31,7 @@ from gf_usd.pipeline.measures.outside import OutsideMeasure
 from gf_usd.prepare.bodies.coarse import coarse_meshes, mesh_names
 
 if TYPE_CHECKING:
+    from gf_usd.geometry.flesh.sheets import Sheet
     from gf_usd.geometry.skinning import MeshSkin
     from gf_usd.physics.frame_loop import Solver
     from gf_usd.physics.output.gaussians import GaussianTrack
@@ -51,6 +52,7 @@ class FrameBuilder:
     observer : receives every frame.
     flows : the surfaces of flowing bodies; None: none are written.
     bodies : prim paths of each body.
+    sheets : of characters, by prim path: see `Sheet`.
     waiting : meshes that are replaced by particles once a particle of their body is converted.
     open_end : the motion may end before its last frame: see `at_end`.
     """
@@ -69,9 +71,10 @@ class FrameBuilder:
         waiting: Mapping[str, int] | None = None,
         *,
         bodies: Sequence[Sequence[str]] = (),
+        sheets: Mapping[str, Sheet] | None = None,
         open_end: bool = False,
     ) -> None:
-        self._bodies = bodies
+        self._bodies, self._sheets = bodies, sheets or {}
         self._tets, self._observer, self._flows = tets, observer, flows
         waiting = waiting or {}
         self._waiting = frozenset(waiting.values())
@@ -130,7 +133,7 @@ class FrameBuilder:
 
         s = self._settings
         gaussians = self._track.advance(frame.particles)
-        poses = frame.embedded
+        poses = self._with_sheets(frame)
         if self._observer:
             self._observer.add_frame(frame, poses)
         if self._skin:
@@ -174,6 +177,15 @@ class FrameBuilder:
                 for key in self._tets
             },
         )
+
+    def _with_sheets(self, frame: Frame) -> Mapping[str, Pose]:
+        """The embedded poses of a frame, with those of sheets."""
+        sheets = {path: one for path, one in self._sheets.items() if path in frame.embedded}
+        time = self._settings.frame_time
+        return dict(frame.embedded) | {
+            path: sheet.pose(frame.embedded[path], frame.index, time)
+            for path, sheet in sheets.items()
+        }
 
     def _converted(self, frame: Frame) -> frozenset[int]:
         """Bodies of `waiting` that flow in a frame."""

@@ -147,5 +147,6 @@ def frame_builder(
         solver, track, skin, surfaces, sampled(variant.settings), splats, keys, observer, flows,
         dict(plan.choices.converting),
         bodies=plan.bodies.surfaces if plan.bodies else (),
+        sheets=plan.sheets,
         open_end=plan.choices.until_rest or plan.choices.settled,
     )  # fmt: skip

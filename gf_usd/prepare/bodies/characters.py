@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 PROP = "it touches no mesh of a character, so that nothing would support it"
 SHEET = "it encloses no volume and is not near a mesh of a character"
 GROUND = "it is flat and lies under everything else, as a ground does"
+WORN = "it is open, and others pass through its holes, as through those of a garment"
 NEAR = 0.02  # of the size of the characters: open meshes that are farther away do not follow them
 
 
@@ -63,6 +64,17 @@ def without_props(asset: Asset, solid: Solid, file: Path, spacing: float) -> Ass
         reasons = apart | reasons
     out = {path: f"{unmoved}, and {reasons[path]}" for path in paths if path in reasons}
     return asset.without(out) if 0 < len(out) < len(paths) else asset
+
+
+def worn_meshes(asset: Asset, solid: Solid, file: Path) -> dict[str, str]:
+    """The reason why each of the garments of characters bounds no volume, by prim path."""
+    from gf_usd.geometry.flesh.sheets import garments
+    from gf_usd.readers.usd.bones import skeletons
+
+    if not any(len(s.welded.boundary) for s in solid.surfaces) or len(solid.surfaces) < 2:
+        return {}
+    posed = skeletons(file, [s.path for s in asset.surfaces], asset.facts)
+    return dict.fromkeys(garments(solid, posed), WORN)
 
 
 def _apart(

@@ -22,6 +22,7 @@ from gf_usd.prepare.settings import Animation
 
 if TYPE_CHECKING:
     from gf_usd.geometry.flesh.cores import Cores
+    from gf_usd.geometry.flesh.sheets import Sheet
     from gf_usd.geometry.solid import Solid
     from gf_usd.prepare.bodies.plan import BodyPlan
 
@@ -107,6 +108,7 @@ class Flesh:
     notes: tuple[str, ...] = ()
     rigid: tuple[str, ...] = ()  # what of --rigid moves with its joints
     poses: Poses | None = None  # of all frames
+    sheets: Mapping[str, Sheet] = field(default_factory=dict)  # by prim path
 
 
 def flesh_of(
@@ -145,6 +147,7 @@ def flesh_of(
         notes=(*dict.fromkeys(note for one in every for note in one.notes), *overlaps),
         rigid=tuple(dict.fromkeys(name for one in every for name in one.rigid)),
         poses=_joined([one.poses for one in every if one.poses]),
+        sheets={path: sheet for one in every for path, sheet in one.sheets.items()},
     )
 
 
@@ -215,6 +218,7 @@ def _of_character(
     """
     from gf_usd.geometry.flesh.cores import bone_cores
     from gf_usd.geometry.flesh.limits import flesh_limits
+    from gf_usd.geometry.flesh.sheets import skinned_sheets
 
     cell, radius = 2.0 * lattice, share or BONE_RADIUS
     times, lead = _animation_times(settings, animation, cycle, repeats)
@@ -236,6 +240,11 @@ def _of_character(
             *notes,
         )
     pins, kept, pin_notes = _pin_to_bones(asset, solid, X, skeleton, cores, rigid, radius, cell)
+    held = {path for pin in pins for path in pin.meshes}
+    found: dict[str, Any] = {
+        "pins": pins, "rigid": tuple(kept), "poses": poses,
+        "sheets": skinned_sheets(asset.surfaces, solid, skeleton, held),
+    }  # fmt: skip
     limits = None
     if squish is not None or stretch is not None:
         limits = flesh_limits(cores, skeleton, squish=squish, stretch=stretch, cell=cell)
@@ -244,14 +253,14 @@ def _of_character(
     )
     notes = (*jumps, *notes, *pin_notes, *goal_notes)
     if frequency is None and limits is None:
-        return Flesh(pins=pins, notes=notes, rigid=tuple(kept), poses=poses)
+        return Flesh(notes=notes, **found)
     goals, key_notes = _springs(
         asset, solid, samples, skeleton, painted, animation, file, different, frame_rows,
         frequency=frequency or 0.0,  # limits alone: no springs
         damping=GOAL_DAMPING if damping is None else damping, spacing=spacing, limits=limits,
     )  # fmt: skip
     notes = (*notes, *key_notes)
-    return Flesh(pins=pins, goals=goals, notes=notes, rigid=tuple(kept), poses=poses)
+    return Flesh(goals=goals, notes=notes, **found)
 
 
 def _read_bones(
@@ -346,7 +355,7 @@ def _pin_to_bones(
             f" as {bones[0].name}",
             "bind the mesh again, so that in the bind pose its skeleton is inside it",
         )
-    soft = [path for path in soft if path not in thin]
+    soft = [path for path in soft if path not in thin and path in solid.filled]
     return pins, kept, (*_apart_meshes(apart), *_thin_meshes(thin, cell), *_soft_meshes(soft))
 
 

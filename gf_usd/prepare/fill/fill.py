@@ -18,7 +18,7 @@ from gf_usd.core.arrays import triple
 from gf_usd.core.asset import Asset, Surface
 from gf_usd.core.frames import Choices, Settings
 from gf_usd.core.stage import Pin, StageSpec, Triple
-from gf_usd.prepare.bodies.characters import without_props
+from gf_usd.prepare.bodies.characters import without_props, worn_meshes
 from gf_usd.prepare.bodies.coarse import cage_notes, coarse_note
 from gf_usd.prepare.bodies.contact import (
     LimbPlan,
@@ -39,7 +39,7 @@ from gf_usd.prepare.bodies.grounds import (
 from gf_usd.prepare.bodies.sampling import SampledBodies, spacing_of
 from gf_usd.prepare.bodies.velocities import start_velocities, unpinned_animation_notes
 from gf_usd.prepare.fill.bodies import fill_bodies
-from gf_usd.prepare.fill.constraints import constrain, springs_of
+from gf_usd.prepare.fill.constraints import Constraints, constrain, springs_of
 from gf_usd.prepare.fill.inputs import (
     CONTACT,
     LIMBS,
@@ -129,6 +129,8 @@ def fill(
         if alone is not asset:
             asset = alone
             meshes = build(asset)
+        if not repair and (worn := worn_meshes(asset, meshes.solid, file)):
+            meshes = build(asset, unfilled=worn)
     scenery: list[Surface] = []
     if in_scene:
         asset, solid = without_scenery(meshes.asset, meshes.solid)
@@ -160,7 +162,7 @@ def fill(
     if not constraints.pins:
         softness += slenderness_notes(inputs, filled, materials, settings, fall)
     choices, split_notes = _choose_outputs(inputs, filled, materials, files, length)
-    limbs, overlap_notes = _plan_contact(inputs, filled, materials, length, constraints.meet_from)
+    limbs, overlap_notes = _plan_contact(inputs, filled, materials, length, constraints)
     tets = tet_lattices(limbs.particles, limbs.samples) if request.tets else ()
     copies = {t.key: t.copy for t in tets if t.copy is not None}
     goals, goal_notes = springs_of(inputs, filled, shot, constraints.flesh, limbs, settings)
@@ -183,7 +185,7 @@ def fill(
         *filled.resolution_notes, *filled.bodies.notes, *overlap_notes,
         *cages, *filter(None, (coarse,)), *unpinned,
         *filled.character_notes, *constraints.flesh.notes, *limbs.notes, *materials.notes,
-        *softness, *length.physics.notes, *not_filled_notes(solid),
+        *softness, *length.physics.notes, *not_filled_notes(solid, constraints.flesh.sheets),
         *not_baked_notes(asset.skipped), *SKIN_NOTES.get(settings.skin, ()),
         *paper_notes(materials.main, each), *split_notes,
         *no_internals_notes(materials.main, settings),
@@ -204,6 +206,7 @@ def fill(
         drop=fall,
         pins=constraints.pins,
         goals=goals,
+        sheets=constraints.flesh.sheets,
         cycle=constraints.cycle if request.cycles.repeats else 0,
         repeats=request.cycles.repeats,
         until_periodic=request.cycles.until_periodic,
@@ -280,7 +283,7 @@ def _plan_contact(
     filled: SampledBodies,
     materials: Assigned,
     length: Length,
-    meet_from: int,
+    constraints: Constraints,
 ) -> tuple[LimbPlan, tuple[str, ...]]:
     """Contact between bodies, and notes on obstacles that are inside one.
 
@@ -297,7 +300,7 @@ def _plan_contact(
             self_contact=False
             if inputs.paper or settings.solver == "ul"
             else request.self_contact,
-            meet_from=meet_from,
+            meet_from=constraints.meet_from,
         ),
     )  # fmt: skip
     notes: tuple[str, ...] = ()
@@ -308,7 +311,9 @@ def _plan_contact(
         notes = (*turned, *penetration_notes(particles, settings.lift, setup, bodies))
     if not inputs.paper and request.solver != "ul":
         inputs.progress(LIMBS)
-        limbs = separate_limbs(solid, bodies, limbs, embedded_points(asset))
+        limbs = separate_limbs(
+            solid, bodies, limbs, embedded_points(asset, constraints.flesh.sheets)
+        )
     return limbs, notes
 
 

@@ -79,6 +79,7 @@ def build_meshes(
     one_thing: OneThing | None = None,
     known: Sequence[Diagnosis] = (),
     built: Solid | None = None,
+    unfilled: Mapping[str, str] | None = None,
 ) -> FilledMeshes:
     """The meshes of an asset and their solid.  Raises InputError where they cannot be filled.
 
@@ -88,6 +89,7 @@ def build_meshes(
     one_thing : see `find_walls`; None: no two meshes are sides of one wall.
     known : result of `diagnose` for the surfaces, if available.
     built : the solid without `repair`, if available.
+    unfilled : see `build_solid`.
     """
     from gf_usd.geometry.connected.joined import Joined, joined_alike, joined_surfaces
     from gf_usd.geometry.connected.walls import Walls, find_walls, with_walls
@@ -111,7 +113,7 @@ def build_meshes(
 
     def made(filled: Asset) -> Solid:
         try:
-            solid = build_solid(filled, repaired=repair)
+            solid = build_solid(filled, repaired=repair, unfilled=unfilled)
         except InputError as refused:
             apart = _apart(oriented, groups, why_not)
             if not apart:

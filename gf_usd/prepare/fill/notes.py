@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from typing import TYPE_CHECKING
 
 from gf_usd.core.frames import Settings
@@ -48,24 +48,31 @@ def not_baked_notes(skipped: Iterable[tuple[str, str]]) -> tuple[str, ...]:
     return tuple(note(*group) for group in _by_reason(skipped))
 
 
-def not_filled_notes(solid: Solid) -> tuple[str, ...]:
+def not_filled_notes(solid: Solid, sheets: Collection[str] = ()) -> tuple[str, ...]:
     """The notes on meshes that move with a body, each with the reason why it is not filled.
 
     Those on sides of walls are `Walls.notes`.
+
+    sheets : prim paths of those that follow their skinned pose.
     """
 
-    def note(path: str, more: int, reason: str) -> str:
+    def note(path: str, more: int, reason: str, skinned: bool) -> str:
+        way = ("moves", "move") if not skinned else ("follows", "follow")
+        what = "its skinned pose, and the flesh near it," if skinned else "with the nearest body"
         if more:
+            them = "their skinned poses, and the flesh near them," if skinned else what
             return (
-                f"<{path}> and {more} more are not filled: they move with the nearest body and do"
-                f" not collide; {reason}"
+                f"<{path}> and {more} more are not filled: they {way[1]} {them} and do not collide;"
+                f" {reason}"
             )
-        return (
-            f"<{path}> is not filled: it moves with the nearest body and does not collide; {reason}"
-        )
+        return f"<{path}> is not filled: it {way[0]} {what} and does not collide; {reason}"
 
-    left = (one for one in solid.embedded if one[0] not in solid.walls)
-    return tuple(note(*group) for group in _by_reason(left))
+    left = [one for one in solid.embedded if one[0] not in solid.walls]
+    return tuple(
+        note(*group, skinned)
+        for skinned in (False, True)
+        for group in _by_reason(one for one in left if (one[0] in sheets) == skinned)
+    )
 
 
 def _by_reason(prims: Iterable[tuple[str, str]]) -> list[tuple[str, int, str]]:

@@ -1,0 +1,165 @@
+"""Sheets of a character: skinned meshes that enclose no volume, such as a skirt or hair.
+
+A sheet follows its skinned pose, and moves with the flesh where it is near it.  With s the skinned
+pose of a point X of the sheet, X* the nearest point of the flesh at rest, f the skinned pose of X*,
+and e where the simulation takes it,
+
+    x = s + a (e - f),    a = 1 - 3 r^2 + 2 r^3,    r = min(d / D, 1)
+
+with d the distance of X from the flesh and D a share of the flesh's size.  Without the skinned pose
+a sheet would move with the flesh that happens to be nearest: the hem of a skirt with either leg.
+
+A garment is an open mesh around others, as a skirt is around legs.  Its holes are where these pass
+through, not defects of a closed mesh, so that it encloses no volume although they may be small.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+
+from gf_usd.core.arrays import Floats
+from gf_usd.core.asset import Surface
+from gf_usd.core.frames import Pose
+from gf_usd.core.stage import Skeleton
+from gf_usd.geometry.flesh.goals import affine, on_skin
+from gf_usd.geometry.solid import Solid, spread_evenly
+
+REACH = 0.1  # of the size of the flesh: D
+# A garment: the share of its volume that others fill, of their points outside it, and of its own
+# points inside them.
+FILLED, PASSING, INSIDE = 0.2, 0.25, 0.25
+PROBES = 4_000  # points in the box of a mesh, by which its volume is compared
+
+
+@dataclass(frozen=True, kw_only=True)
+class Skinning:
+    """The linear blend skinning of some points."""
+
+    X: Floats  # (n, 3) [m] at rest
+    weights: csr_matrix  # (n, bones) rows sum to 1
+    linear: Floats  # (F, bones, 3, 3) as in `affine`
+    offset: Floats  # (F, bones, 3) [m]
+
+    def at(self, frame: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Positions (n, 3) [m] and gradients (n, 3, 3) at a frame, of the first or last at most."""
+        k = int(np.clip(frame, 0, len(self.linear) - 1))
+        A = (self.weights @ self.linear[k].reshape(-1, 9)).reshape(-1, 3, 3)
+        return np.einsum("nab,nb->na", A, self.X) + self.weights @ self.offset[k], A
+
+    def rate(self, frame: int, frame_time: float) -> NDArray[np.float64]:
+        """(n, 3) [m/s] by central differences of frames that are `frame_time` [s] apart."""
+        before, after = self.at(frame - 1)[0], self.at(frame + 1)[0]
+        return (after - before) / (frame_time * (2.0 if frame else 1.0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sheet:
+    """A skinned mesh without volume, next to flesh."""
+
+    skin: Skinning  # of its points
+    flesh: Skinning  # of the nearest points of the flesh
+    share: Floats  # (n,) a
+
+    @property
+    def near(self) -> Floats:
+        """(n, 3) [m] the nearest points of the flesh at rest, whose poses `pose` takes."""
+        return self.flesh.X
+
+    def pose(self, near: Pose, frame: int, frame_time: float) -> Pose:
+        """The pose of the sheet at a frame, from that of `near`; frame_time : [s] of one frame."""
+        (s, S), (f, F), a = self.skin.at(frame), self.flesh.at(frame), self.share[:, None]
+        rate = self.skin.rate(frame, frame_time) - a * self.flesh.rate(frame, frame_time)
+        return Pose(x=s + a * (near.x - f), v=rate + a * near.v, F=S + a[:, :, None] * (near.F - F))
+
+
+def skinned_sheets(
+    surfaces: Sequence[Surface], solid: Solid, skeleton: Skeleton, taken: Collection[str] = ()
+) -> dict[str, Sheet]:
+    """The sheets among the surfaces of a character, by prim path.
+
+    solid : of the same character; taken : prim paths of surfaces whose motion is given otherwise.
+    """
+    filled, weights = solid.filled, skeleton.weights
+    rows = [k for k, s in enumerate(solid.surfaces) if s.path in weights]
+    found = [s for s in surfaces if s.path not in filled and s.path not in taken]
+    found = [s for s in found if s.splats is None and len(s.points) and whole(weights, s.path)]
+    if not rows or not found:
+        return {}
+    flesh = solid.part(np.array(rows))
+    linear, offset = affine(skeleton)
+    reach = REACH * float(np.linalg.norm(flesh.high - flesh.low))
+    out = {}
+    for surface in found:
+        X = np.asarray(surface.points, np.float64)
+        near, bones = _nearest(flesh, X, weights)
+        ratio = np.minimum(np.linalg.norm(X - near, axis=1) / reach, 1.0)
+        motion = {"linear": linear, "offset": offset}
+        out[surface.path] = Sheet(
+            skin=Skinning(X=X, weights=weights[surface.path], **motion),
+            flesh=Skinning(X=near, weights=bones, **motion),
+            share=1.0 - ratio**2 * (3.0 - 2.0 * ratio),
+        )
+    return out
+
+
+def whole(weights: Mapping[str, csr_matrix], path: str) -> bool:
+    """Whether every point of a surface is bound to a bone."""
+    found = weights.get(path)
+    return found is not None and bool((np.asarray(found.sum(1)) > 0.0).all())
+
+
+def _nearest(
+    flesh: Solid, X: Floats, weights: Mapping[str, csr_matrix]
+) -> tuple[NDArray[np.float64], csr_matrix]:
+    """The nearest points (n, 3) [m] of the flesh to X (n, 3), which may be inside it, and the
+    weights (n, bones) of its skin there.
+    """
+    near, total = np.zeros_like(X), None
+    for surface, on in zip(flesh.surfaces, on_skin(flesh, X), strict=True):
+        to_points = on.to_points(len(surface.points))
+        near += to_points @ surface.points
+        bones = to_points @ weights[surface.path]
+        total = bones if total is None else total + bones
+    within = flesh.inside(X)
+    return np.where(within[:, None], X, near), csr_matrix(total)
+
+
+def garments(solid: Solid, posed: Collection[str]) -> tuple[str, ...]:
+    """Prim paths of the filled meshes that are garments around others.
+
+    posed : prim paths of the meshes that a skeleton poses: others are none.
+
+    Empty where nothing else would be left.
+    """
+    boxes = [(s.face_points.min(0), s.face_points.max(0)) for s in solid.surfaces]
+    found = []
+    for k, surface in enumerate(solid.surfaces):
+        if surface.path not in posed or not len(surface.welded.boundary):
+            continue
+        low, high = boxes[k]
+        others = [
+            j
+            for j, (a, b) in enumerate(boxes)
+            if j != k and (a < high).all() and (b > low).all() and _passes(solid, j, k)
+        ]
+        if not others:
+            continue
+        X = low + (high - low) * spread_evenly(PROBES)
+        X = X[solid.bounds[k].inside(X)]
+        around = solid.part(np.array(others))
+        if len(X) and around.inside(X).mean() >= FILLED and (
+            around.inside(surface.face_points).mean() <= INSIDE
+        ):  # fmt: skip
+            found.append(surface.path)
+    return tuple(found) if len(found) < len(solid.surfaces) else ()
+
+
+def _passes(solid: Solid, other: int, index: int) -> bool:
+    """Whether a share PASSING of the points of another surface, but not all, is outside one."""
+    outside = 1.0 - solid.bounds[index].inside(solid.surfaces[other].face_points).mean()
+    return PASSING <= outside < 1.0

@@ -1,0 +1,144 @@
+"""Sheets next to flesh: which meshes are garments, and the motion of skinned sheets."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import solids
+import trimesh
+from scipy.sparse import csr_matrix
+
+from gf_usd.core.asset import Surface
+from gf_usd.core.frames import Pose
+from gf_usd.core.stage import Bone, Skeleton
+from gf_usd.geometry.flesh.sheets import REACH, garments, skinned_sheets
+
+CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
+
+
+def column(
+    path: str, radius: float, low: float, high: float, open_ends: int = 0, top: float | None = None
+) -> Surface:
+    """A column along y with a radius [m] from `low` to `high`, without the caps of some ends.
+
+    top : [m] radius of its upper end.
+    """
+    mesh = trimesh.creation.cylinder(radius, segment=((0, low, 0), (0, high, 0)), sections=24)
+    mesh = mesh.subdivide_to_size(0.2)
+    points, faces = np.array(mesh.vertices), np.array(mesh.faces)
+    across = points[faces][:, :, 1]
+    ends = [low, high][:open_ends]
+    kept = ~np.any([np.isclose(across, end).all(1) for end in ends], axis=0) if ends else ...
+    if top is not None:
+        share = 1.0 + (top / radius - 1.0) * (points[:, 1:2] - low) / (high - low)
+        points[:, [0, 2]] *= share
+    return solids.surface(points, faces[kept], path)
+
+
+def found(*surfaces: Surface, posed: Any = None) -> tuple[str, ...]:
+    return garments(solids.solid(*surfaces), posed or [s.path for s in surfaces])
+
+
+def test_an_open_mesh_that_others_pass_through_is_a_garment() -> None:
+    """A skirt was filled around the legs, as a slab, where its holes were less than 25 %."""
+    body = column("/body", 0.3, 0.0, 2.0)
+    skirt = column("/skirt", 0.4, 0.3, 1.6, open_ends=2)
+    assert found(body, skirt) == ("/skirt",)
+    assert found(body, skirt, posed={"/body"}) == (), "no skeleton poses it"
+    assert found(body, column("/skirt", 0.4, 0.3, 1.6)) == (), "it is closed"
+
+
+def test_bodies_with_holes_are_no_garments() -> None:
+    # a torso that is open at the neck and the waist, a head in its hole, and a shirt around it
+    torso = column("/torso", 0.3, -1.0, 1.5, open_ends=2)
+    head = column("/head", 0.25, 1.4, 2.2, open_ends=1)
+    shirt = column("/shirt", 0.35, 0.2, 1.45, open_ends=2)
+    assert found(torso, head, shirt) == ("/shirt",)
+    # eyes in a head that is open around them
+    eye = column("/eye", 0.08, 1.5, 1.7)
+    assert found(head, eye) == ()
+    # of a shell around another one nothing but the outer one would be seen
+    assert found(torso, column("/core", 0.2, -0.9, 1.4)) == ()
+
+
+def test_something_is_always_filled() -> None:
+    one, other = (column(f"/{k}", 0.4, 0.5 * k, 0.5 * k + 1.6, open_ends=2) for k in (0, 1))
+    assert len(found(one, other)) < 2
+
+
+def skeleton(**weights: int) -> Skeleton:
+    """Two bones; the second moves by 1 m along x from frame 0 to frame 1, and turns a quarter."""
+    still = np.stack([CORNERS, CORNERS])
+    turn = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    moved = np.stack([CORNERS, CORNERS @ turn + (1.0, 0.0, 0.0)])
+    bones = tuple(
+        Bone(name=str(k), segments=np.zeros((0, 2, 3)), free=(), anchors=CORNERS, path=path)
+        for k, path in enumerate((still, moved))
+    )
+    counts = {"body": len(BODY.points), "skirt": len(SKIRT.points)}
+    rows = {f"/{name}": np.eye(2)[[bone] * counts[name]] for name, bone in weights.items()}
+    return Skeleton(bones=bones, weights={path: csr_matrix(w) for path, w in rows.items()})
+
+
+BODY = column("/body", 0.3, 0.0, 2.0)
+SKIRT = column("/skirt", 0.3, 0.0, 2.0, open_ends=2, top=2.0)  # touches the body at its lower end
+
+
+def test_a_sheet_follows_its_skinned_pose_and_the_flesh_near_it() -> None:
+    solid = solids.solid(BODY)
+    sheet = skinned_sheets([BODY, SKIRT], solid, skeleton(body=0, skirt=1))["/skirt"]
+    X = SKIRT.points
+    size = float(np.linalg.norm(solid.high - solid.low))
+    far, touching = (np.linalg.norm(X - sheet.near, axis=1) >= REACH * size), X[:, 1] == 0.0
+    assert far.any()
+    assert touching.any()
+    # the flesh is 0.1 m from its skinned pose, in z
+    away = np.array([0.0, 0.0, 0.1])
+    n = len(X)
+    F = np.tile(1.1 * np.eye(3), (n, 1, 1))
+    near = Pose(x=sheet.near + away, v=np.tile(2.0 * away, (n, 1)), F=F)
+    pose = sheet.pose(near, 1, 0.5)
+    skinned = np.stack([1.0 - X[:, 1], X[:, 0], X[:, 2]], 1)
+    np.testing.assert_allclose(pose.x[far], skinned[far], atol=1e-12)
+    np.testing.assert_allclose(pose.x[touching], (skinned + away)[touching], atol=1e-9)
+    between = (pose.x - skinned)[~far]
+    assert (np.abs(between[:, :2]) < 1e-9).all()
+    assert (between[:, 2] <= 0.1 + 1e-9).all()
+    # central difference with the frame behind the last one, which is the last one
+    rate = (skinned - X) / (2.0 * 0.5)
+    np.testing.assert_allclose(pose.v[far], rate[far], atol=1e-9)
+    np.testing.assert_allclose(pose.v[touching], (rate + 2.0 * away)[touching], atol=1e-9)
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    np.testing.assert_allclose(pose.F[far], np.tile(turn, (far.sum(), 1, 1)), atol=1e-12)
+    np.testing.assert_allclose(pose.F[touching][0], turn + 0.1 * np.eye(3), atol=1e-9)
+
+
+def test_only_meshes_that_are_skinned_and_free_are_sheets() -> None:
+    solid = solids.solid(BODY)
+    assert skinned_sheets([BODY, SKIRT], solid, skeleton(body=0)) == {}
+    both = skeleton(body=0, skirt=1)
+    assert skinned_sheets([BODY, SKIRT], solid, both, taken={"/skirt"}) == {}
+    assert skinned_sheets([BODY, SKIRT], solid, skeleton(skirt=1)) == {}, "no flesh is posed"
+    one = both.weights["/skirt"].tolil()
+    one[0] = 0.0
+    weights = {**both.weights, "/skirt": csr_matrix(one)}
+    loose = Skeleton(bones=both.bones, weights=weights)
+    assert skinned_sheets([BODY, SKIRT], solid, loose) == {}, "a point has no bone"
+
+
+def test_points_inside_the_flesh_move_as_it_does_there() -> None:
+    inner = column("/skirt", 0.1, 0.5, 1.5, open_ends=2)
+    both = skeleton(body=1)
+    weights = {**both.weights, "/skirt": csr_matrix(np.eye(2)[[1] * len(inner.points)])}
+    sheets = skinned_sheets(
+        [BODY, inner], solids.solid(BODY), Skeleton(bones=both.bones, weights=weights)
+    )
+    sheet = sheets["/skirt"]
+    np.testing.assert_array_equal(sheet.near, inner.points)
+    n = len(inner.points)
+    wanted = Pose(x=inner.points + 3.0, v=np.ones((n, 3)), F=np.tile(np.eye(3), (n, 1, 1)))
+    pose = sheet.pose(wanted, 1, 0.5)
+    np.testing.assert_allclose(pose.x, wanted.x, atol=1e-9)
+    assert pose.v[:, 2] == pytest.approx(1.0)
