@@ -17,12 +17,28 @@ MORE = {**FEW, "particles": 3000}  # with which half of the boot's half thicknes
 
 
 @pytest.mark.slow
-def test_a_mesh_of_one_joint_is_named_with_the_way_to_keep_it_rigid(tmp_path: Path) -> None:
+def test_a_mesh_of_one_joint_without_a_bone_of_its_own_is_rigid(tmp_path: Path) -> None:
+    """Hair hung from its head, and pulled it to a point."""
     path, out = booted(tmp_path), tmp_path / "out.usda"
     plan, _ = prepare(path, **MORE, output=out, draw=None)
+    note = "</Arm/Boot> moves with a single joint and has no bone of its own: it is kept rigid"
+    assert note in " ".join(plan.notes)
+    assert "as soft as the rest; --rigid" not in " ".join(plan.notes)
+    *bones, boot = plan.pins
+    assert (boot.name, boot.meshes) == ("/Arm/Boot", {"/Arm/Boot"})
+    np.testing.assert_array_equal(boot.path, bones[1].path)
+
+
+@pytest.mark.slow
+def test_a_mesh_of_one_joint_that_is_soft_is_named_with_the_way_to_keep_it_rigid(
+    tmp_path: Path,
+) -> None:
+    path, out = booted(tmp_path), tmp_path / "out.usda"
+    springs = {**MORE, "goal_frequency": 4.0}
+    plan, _ = prepare(path, **springs, output=out, draw=None)
     note = "</Arm/Boot> moves with a single joint and becomes as soft as the rest; --rigid keeps"
     assert note in " ".join(plan.notes)
-    kept, _ = prepare(path, **MORE, rigid=["/Arm/Boot"], output=out, draw=None)
+    kept, _ = prepare(path, **springs, rigid=["/Arm/Boot"], output=out, draw=None)
     assert note not in " ".join(kept.notes)
     *bones, boot = kept.pins
     assert (boot.name, boot.rigid, boot.meshes) == ("/Arm/Boot", False, {"/Arm/Boot"})
@@ -60,8 +76,8 @@ def test_a_mesh_of_one_joint_that_is_too_thin_for_the_grid_is_rigid(tmp_path: Pa
 @pytest.mark.slow
 def test_a_box_of_a_rigid_region_is_none_that_a_joint_carries(tmp_path: Path) -> None:
     plan, _ = prepare(
-        booted(tmp_path), **MORE, rigid=["box:1.6,-1,-1,3,1,1"], output=tmp_path / "o.usda",
-        draw=None,
+        booted(tmp_path), **MORE, rigid=["box:1.6,-1,-1,3,1,1"], goal_frequency=4.0,
+        output=tmp_path / "o.usda", draw=None,
     )  # fmt: skip
     assert [pin.rigid for pin in plan.pins] == [False, False, True]
 
@@ -72,7 +88,9 @@ def test_a_rigid_boot_moves_with_its_joint(tmp_path: Path) -> None:
     path = booted(tmp_path)
     for rigid in ([], ["/Arm/Boot"]):
         out = tmp_path / f"out{len(rigid)}.usda"
-        gf_usd.bake(path, **MORE, rigid=rigid, output=out, progress=None)
+        gf_usd.bake(
+            path, **MORE, goal_frequency=0.5, rigid=rigid, output=out, progress=None
+        )  # fmt: skip
         stage = Usd.Stage.Open(str(out))
         for code, angle in ((FIRST, 20.0), (LAST, 60.0)):
             c, s = np.cos(np.deg2rad(angle)), np.sin(np.deg2rad(angle))

@@ -11,6 +11,8 @@ a sheet would move with the flesh that happens to be nearest: the hem of a skirt
 
 A garment is an open mesh around others, as a skirt is around legs.  Its holes are where these pass
 through, not defects of a closed mesh, so that it encloses no volume although they may be small.
+A closed mesh around no bone that is thinner than the particles are apart, such as a solidified
+skirt, is a sheet as well: filled, it would be a slab of jelly that hangs from its upper rim.
 """
 
 from __future__ import annotations
@@ -25,14 +27,17 @@ from scipy.sparse import csr_matrix
 from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import Surface
 from gf_usd.core.frames import Pose
+from gf_usd.core.mesh import areas
 from gf_usd.core.stage import Skeleton
 from gf_usd.geometry.flesh.goals import affine, on_skin
+from gf_usd.geometry.flesh.single_joint import single_joint_meshes
 from gf_usd.geometry.solid import Solid, spread_evenly
 
 REACH = 0.1  # of the size of the flesh: D
 # A garment: the share of its volume that others fill, of their points outside it, and of its own
 # points inside them.
 FILLED, PASSING, INSIDE = 0.2, 0.25, 0.25
+ALONG, HELD = 25, 0.1  # points along a bone, and the share of them by which it is in a mesh
 PROBES = 4_000  # points in the box of a mesh, by which its volume is compared
 
 
@@ -157,6 +162,34 @@ def garments(solid: Solid, posed: Collection[str]) -> tuple[str, ...]:
         ):  # fmt: skip
             found.append(surface.path)
     return tuple(found) if len(found) < len(solid.surfaces) else ()
+
+
+def thin_sheets(solid: Solid, skeleton: Skeleton, spacing: float) -> dict[str, float]:
+    """The mean thickness [m] of the filled meshes that are closed sheets, by prim path.
+
+    It is 2 V / A, that of a wall of volume V with an area A on both sides, and less than the
+    spacing [m] of the particles.  A mesh with a bone in it is flesh, however thin, and one of a
+    single joint moves rigidly.
+
+    Empty where no other mesh has a bone in it.
+    """
+    single = single_joint_meshes(skeleton)
+    segments = np.concatenate([np.zeros((0, 2, 3)), *(b.segments for b in skeleton.bones)])
+    along = np.linspace(0.0, 1.0, ALONG)[:, None]
+    X = segments[:, None, 0] + along * (segments[:, None, 1] - segments[:, None, 0])
+    found, flesh = {}, False
+    for surface, triangles, bounds in zip(
+        solid.surfaces, solid.triangles, solid.bounds, strict=True
+    ):
+        inside = bounds.inside(X.reshape(-1, 3)).reshape(X.shape[:2]).sum(1)
+        if inside.max(initial=0) >= HELD * ALONG:
+            flesh = True
+        elif surface.path in skeleton.weights and surface.path not in single:
+            area = float(areas(surface.points, triangles).sum())
+            thickness = 2.0 * abs(surface.signed_volume) / area if area else 0.0
+            if thickness < spacing:
+                found[surface.path] = thickness
+    return found if flesh else {}
 
 
 def _passes(solid: Solid, other: int, index: int) -> bool:

@@ -3,7 +3,8 @@
 Grid nodes in such a mesh, and up to `WIDER` cells around it, are constrained to the joint's motion
 like those of a bone core, and the points of the mesh follow the joint exactly.  Those that are
 apart from the flesh, such as a sword next to a hand, are always rigid, and so are those that are
-too thin for the grid, as limbs are (see `cores.bone_cores`).
+too thin for the grid, as limbs are (see `cores.bone_cores`).  Accessories, such as hair or eyes,
+are rigid unless springs hold them: only the flesh around a bone would, which is in another mesh.
 """
 
 from __future__ import annotations
@@ -65,6 +66,34 @@ def meshes_apart(
         if path in filled
         and not _held(filled[path][0], Shape(*filled[path]), flesh, cores, APART * cell)
     ]
+
+
+def accessories(
+    paths: Sequence[str], bound: Mapping[str, int], solid: Solid, cores: Cores
+) -> list[str]:
+    """Those of some filled single-joint meshes in which no core is, or mostly in other flesh too.
+
+    They are on a part of the body or in it, and are none themselves, as a head or a foot is.
+    """
+    filled = {s.path: (s.points, t) for s, t in zip(solid.surfaces, solid.triangles, strict=True)}
+    inner = np.concatenate([core.points[core.radius > 0.0] for core in cores.cores])
+    elsewhere = np.zeros(len(inner), bool)
+    for path, (points, triangles) in filled.items():
+        if path not in bound:
+            elsewhere |= Shape(points, triangles).encloses(inner)
+    return [
+        path
+        for path in paths
+        if path in filled and not _has_own(Shape(*filled[path]).encloses(inner), elsewhere)
+    ]
+
+
+def _has_own(here: Floats, elsewhere: Floats) -> bool:
+    """Whether more than half of the points of cores in a mesh are in no other flesh.
+
+    here, elsewhere : (n,) which of all points are in the mesh, and in other flesh.
+    """
+    return bool(2 * (here & ~elsewhere).sum() > here.sum())
 
 
 def thin_meshes(

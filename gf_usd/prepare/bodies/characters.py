@@ -6,7 +6,7 @@ body would join them there.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from itertools import combinations, product
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -23,6 +23,7 @@ from gf_usd.prepare.bodies.grounds import grounds, scenery_of
 if TYPE_CHECKING:
     from gf_usd.geometry.solid import Solid
     from gf_usd.prepare.bodies.plan import BodyPlan
+    from gf_usd.prepare.settings import Animation
 
 # Why a mesh is not part of a character, after what does not move it.
 PROP = "it touches no mesh of a character, so that nothing would support it"
@@ -66,15 +67,28 @@ def without_props(asset: Asset, solid: Solid, file: Path, spacing: float) -> Ass
     return asset.without(out) if 0 < len(out) < len(paths) else asset
 
 
-def worn_meshes(asset: Asset, solid: Solid, file: Path) -> dict[str, str]:
-    """The reason why each of the garments of characters bounds no volume, by prim path."""
-    from gf_usd.geometry.flesh.sheets import garments
-    from gf_usd.readers.usd.bones import skeletons
+def worn_meshes(
+    asset: Asset, solid: Solid, file: Path, spacing: float, animation: Callable[[], Animation]
+) -> dict[str, str]:
+    """The reason why each of the garments of characters bounds no volume, by prim path.
 
-    if not any(len(s.welded.boundary) for s in solid.surfaces) or len(solid.surfaces) < 2:
+    spacing : [m] approximate spacing of the particles; animation : reads that of the asset.
+    """
+    from gf_usd.geometry.flesh.sheets import garments, thin_sheets
+    from gf_usd.readers.usd.bones import read_skeleton, skeletons
+
+    paths = [s.path for s in asset.surfaces]
+    posed = skeletons(file, paths, asset.facts) if len(solid.surfaces) > 1 else {}
+    if not posed:
         return {}
-    posed = skeletons(file, [s.path for s in asset.surfaces], asset.facts)
-    return dict.fromkeys(garments(solid, posed), WORN)
+    first = animation().first
+    skeleton = read_skeleton(file, paths, asset.facts, first=first, times=[first])
+    thin = {
+        path: f"it is {length_text(thickness)} thick on average, less than the spacing of the"
+        f" particles, {length_text(spacing)}, and around no bone; more --particles make it soft"
+        for path, thickness in thin_sheets(solid, skeleton, spacing).items()
+    }
+    return thin | dict.fromkeys(garments(solid, posed), WORN)
 
 
 def _apart(

@@ -219,6 +219,7 @@ def _of_character(
     from gf_usd.geometry.flesh.cores import bone_cores
     from gf_usd.geometry.flesh.limits import flesh_limits
     from gf_usd.geometry.flesh.sheets import skinned_sheets
+    from gf_usd.readers.usd_bake.settings import read_goals
 
     cell, radius = 2.0 * lattice, share or BONE_RADIUS
     times, lead = _animation_times(settings, animation, cycle, repeats)
@@ -239,7 +240,11 @@ def _of_character(
             f" the nearest bones of {animation.nearest}",
             *notes,
         )
-    pins, kept, pin_notes = _pin_to_bones(asset, solid, X, skeleton, cores, rigid, radius, cell)
+    goals_painted = read_goals(file, asset.facts, asset.surfaces, rest=animation.first)
+    pins, kept, pin_notes = _pin_to_bones(
+        asset, solid, X, skeleton, cores, rigid, radius, cell,
+        springs=frequency is not None or bool(goals_painted),
+    )  # fmt: skip
     held = {path for pin in pins for path in pin.meshes}
     found: dict[str, Any] = {
         "pins": pins, "rigid": tuple(kept), "poses": poses,
@@ -249,7 +254,7 @@ def _of_character(
     if squish is not None or stretch is not None:
         limits = flesh_limits(cores, skeleton, squish=squish, stretch=stretch, cell=cell)
     painted, frequency, goal_notes = _goal_weights(
-        asset, solid, skeleton, cores, animation, file, frequency, cell
+        asset, solid, skeleton, cores, goals_painted, frequency, cell
     )
     notes = (*jumps, *notes, *pin_notes, *goal_notes)
     if frequency is None and limits is None:
@@ -321,16 +326,20 @@ def _pin_to_bones(
     rigid: Sequence[str],
     share: float,
     cell: float,
+    springs: bool,
 ) -> tuple[tuple[Pin, ...], list[str], tuple[str, ...]]:
     """Pins of the cores, and of meshes that move rigidly with a joint: those named by --rigid, and
-    those apart from the flesh, or too thin for the grid.  Which of `rigid` they are; notes.
+    those apart from the flesh, too thin for the grid, or accessories.  Which of `rigid` they are;
+    notes.
 
-    X : (n, 3) [m] of the particles; share, cell [m] : of `bone_cores`.
+    X : (n, 3) [m] of the particles; share, cell [m] : of `bone_cores`; springs : whether these hold
+    all flesh, accessories too.
 
     Raises InputError where nothing is pinned.
     """
     from gf_usd.geometry.flesh.cores import bone_pins
     from gf_usd.geometry.flesh.single_joint import (
+        accessories,
         meshes_apart,
         named_single_joint_meshes,
         single_joint_meshes,
@@ -348,15 +357,18 @@ def _pin_to_bones(
     apart = meshes_apart(soft, bound, solid, cores, cell)
     soft = [path for path in soft if path not in apart]
     thin = thin_meshes(soft, solid, X, share, cell)
-    pins += single_joint_pins([*apart, *thin], bound, skeleton, solid, cell)
+    soft = [path for path in soft if path not in thin and path in solid.filled]
+    worn = [] if springs else accessories(soft, bound, solid, cores)
+    pins += single_joint_pins([*apart, *thin, *worn], bound, skeleton, solid, cell)
     if not pins:
         raise InputError(
             f"{asset.facts.path}: --flesh: none of {len(bones)} bones lies inside the flesh, such"
             f" as {bones[0].name}",
             "bind the mesh again, so that in the bind pose its skeleton is inside it",
         )
-    soft = [path for path in soft if path not in thin and path in solid.filled]
-    return pins, kept, (*_apart_meshes(apart), *_thin_meshes(thin, cell), *_soft_meshes(soft))
+    soft = [path for path in soft if path not in worn]
+    notes = (*_apart_meshes(apart), *_thin_meshes(thin, cell), *_worn_meshes(worn))
+    return pins, kept, (*notes, *_soft_meshes(soft))
 
 
 def _goal_weights(
@@ -364,8 +376,7 @@ def _goal_weights(
     solid: Solid,
     skeleton: Skeleton,
     cores: Cores,
-    animation: Animation,
-    file: Path,
+    painted: dict[str, Floats],
     frequency: float | None,
     cell: float,
 ) -> tuple[dict[str, Floats], float | None, tuple[str, ...]]:
@@ -374,9 +385,7 @@ def _goal_weights(
     frequency is None where there are no springs.
     """
     from gf_usd.geometry.flesh.single_joint import loose_meshes, single_joint_meshes
-    from gf_usd.readers.usd_bake.settings import read_goals
 
-    painted = read_goals(file, asset.facts, asset.surfaces, rest=animation.first)
     if frequency is not None:
         return painted, frequency, ()
     if painted:
@@ -490,6 +499,20 @@ def _thin_meshes(paths: Sequence[str], cell: float) -> tuple[str, ...]:
     return (
         f"{_listed(paths)} {moves} with a single joint and {is_} too thin for the grid, which has"
         f" cells of {length_text(cell)}: {it} kept rigid; more --particles make the grid finer",
+    )
+
+
+def _worn_meshes(paths: Sequence[str]) -> tuple[str, ...]:
+    """The note on meshes that move with a single joint and have no bone of their own."""
+    if not paths:
+        return ()
+    moves, is_, it, has = (
+        ("moves", "is", "it", "has") if len(paths) == 1 else ("move", "are", "they", "have")
+    )
+    return (
+        f"{_listed(paths)} {moves} with a single joint and {has} no bone of"
+        f" {'its' if len(paths) == 1 else 'their'} own: {it} {is_} kept rigid, because {it} would"
+        f" hang from the rest; with --goal-frequency {it} {is_} as soft as the rest",
     )
 
 

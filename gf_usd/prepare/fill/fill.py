@@ -28,7 +28,7 @@ from gf_usd.prepare.bodies.contact import (
     separate_limbs,
 )
 from gf_usd.prepare.bodies.facing import turned_to_bodies
-from gf_usd.prepare.bodies.flesh import Poses
+from gf_usd.prepare.bodies.flesh import Poses, read_animation
 from gf_usd.prepare.bodies.flow import flow_of
 from gf_usd.prepare.bodies.grounds import (
     floor_notes,
@@ -129,7 +129,9 @@ def fill(
         if alone is not asset:
             asset = alone
             meshes = build(asset)
-        if not repair and (worn := worn_meshes(asset, meshes.solid, file)):
+        motion = partial(read_animation, asset, file, request.start)
+        worn = {} if repair else worn_meshes(asset, meshes.solid, file, spacing, motion)
+        if worn:
             meshes = build(asset, unfilled=worn)
     scenery: list[Surface] = []
     if in_scene:

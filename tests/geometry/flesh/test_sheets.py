@@ -13,7 +13,7 @@ from scipy.sparse import csr_matrix
 from gf_usd.core.asset import Surface
 from gf_usd.core.frames import Pose
 from gf_usd.core.stage import Bone, Skeleton
-from gf_usd.geometry.flesh.sheets import REACH, garments, skinned_sheets
+from gf_usd.geometry.flesh.sheets import REACH, garments, skinned_sheets, thin_sheets
 
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
 
@@ -142,3 +142,40 @@ def test_points_inside_the_flesh_move_as_it_does_there() -> None:
     pose = sheet.pose(wanted, 1, 0.5)
     np.testing.assert_allclose(pose.x, wanted.x, atol=1e-9)
     assert pose.v[:, 2] == pytest.approx(1.0)
+
+
+def wall(path: str, thickness: float) -> Surface:
+    """A closed wall around the body, as thick as given [m]."""
+    mesh = trimesh.creation.annulus(0.45 - thickness, 0.45, height=1.0)
+    turned = np.array(mesh.vertices)[:, [0, 2, 1]] * (1.0, 1.0, -1.0) + (0.0, 1.0, 0.0)
+    return solids.surface(turned, np.array(mesh.faces), path)
+
+
+@pytest.mark.parametrize(
+    ("thickness", "joints", "bone", "thin"),
+    [
+        (0.02, 2, True, True),
+        (0.2, 2, True, False),  # thicker than the particles are apart
+        (0.02, 1, True, False),  # of one joint: rigid
+        (0.02, 2, False, False),  # nothing else would hold it
+    ],
+)
+def test_closed_sheets_thinner_than_the_particles_are_apart_are_sheets(
+    thickness: float, joints: int, bone: bool, thin: bool
+) -> None:
+    """A solidified skirt hung from its rim as a slab of jelly."""
+    skirt = wall("/skirt", thickness)
+    way = np.array([[[0.0, 0.2, 0.0], [0.0, 1.8, 0.0]]]) if bone else np.zeros((0, 2, 3))
+    given = {"segments": way, "free": (False,) * len(way), "anchors": CORNERS}
+    bones = tuple(Bone(name=str(k), path=CORNERS[None], **given) for k in range(2))
+    row = [0.5, 0.5] if joints == 2 else [1.0, 0.0]
+    weights = {
+        "/body": csr_matrix(np.tile([0.5, 0.5], (len(BODY.points), 1))),
+        "/skirt": csr_matrix(np.tile(row, (len(skirt.points), 1))),
+    }
+    found = thin_sheets(
+        solids.solid(BODY, skirt), Skeleton(bones=bones, weights=weights), spacing=0.05
+    )
+    assert list(found) == (["/skirt"] if thin else [])
+    if thin:
+        assert found["/skirt"] == pytest.approx(thickness, rel=0.05)

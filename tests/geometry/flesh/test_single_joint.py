@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 from gf_usd.geometry.flesh.cores import Core, Cores
-from gf_usd.geometry.flesh.single_joint import loose_meshes
+from gf_usd.geometry.flesh.single_joint import accessories, loose_meshes
 
 CELL = 0.25
 # heights [m] of the lower and the upper end of boxes, the first of which has the core
@@ -47,3 +47,13 @@ def test_what_no_flesh_reaches_is_loose_and_what_it_reaches_at_its_end_is_measur
 def test_meshes_of_one_joint_and_bodies_without_cores_are_not_judged():
     assert loose({"hat": 0}, **SPANS)[0] == []
     assert loose(hat=SPANS["hat"]) == ([], {})
+
+
+def test_accessories_have_no_core_that_is_not_in_other_flesh_too() -> None:
+    spans = {"neck": (0.0, 1.0), "head": (0.9, 2.0), "hat": (1.9, 2.5), "scarf": (0.3, 0.7)}
+    axis = np.linspace((0.0, 0.2, 0.0), (0.0, 1.6, 0.0), 15)
+    core = Core(bone=0, points=axis, radius=np.full(15, 0.1))
+    bound = {"head": 0, "hat": 0, "scarf": 0}
+    # the core is also in the neck where it is in the scarf, but not all of it in the head
+    cores = Cores(cores=(core,))
+    assert accessories(list(bound), bound, boxes(**spans), cores) == ["hat", "scarf"]
