@@ -21,6 +21,9 @@ smooth points, if the windows agree on it.  A wrong unit scales all windows alik
 third of the rate of the samples scale each window differently (observed on the same duck, stiff:
 0.29 to 1.41).
 
+Velocities that equal ``v2`` at nearly all moving points need no more proof: those of an animation
+that is linear between its keys jump at each of them, and are the mean of both sides there.
+
 Positions and velocities are compared in world space: in the space of a prim that a transform
 shears, an invisible vibration can be the larger part of the motion.
 
@@ -111,6 +114,7 @@ class Tally:
 
     moving: int = 0  # places (points in windows) that move, by position or velocity
     smooth: int = 0  # of these, where v4 is trusted
+    central: int = 0  # of those that move, where the velocity is v2
     frozen: int = 0  # of these, where the positions stand still and the velocities do not
     factors: list[float] = field(default_factory=list)  # a of each window
     bounds: list[float] = field(default_factory=list)  # of its error where all jump at once
@@ -152,6 +156,9 @@ class Tally:
         smooth = np.flatnonzero(moving & (off <= SMOOTH * np.maximum(speed, floor)))
         count = np.count_nonzero(moving)
         self.moving += count
+        apart = np.sqrt(((v - v2) ** 2).sum(0))
+        close = apart <= SMOOTH * np.maximum(np.sqrt((v2 * v2).sum(0)), floor)
+        self.central += np.count_nonzero(moving & close)
         if len(smooth) < MAJORITY * count:
             return
         self.smooth += len(smooth)
@@ -165,6 +172,13 @@ class Tally:
             self.bounds.append(2.0 * (odd + even) / square)
             self.weights.append(len(smooth))
             self.leaps.append(bool(rated[smooth].mean() > range_.mean()))
+
+    @property
+    def differenced(self) -> bool:
+        """Whether the velocities are the central differences of the positions, as those of an
+        animation that is linear between keys, however these jump.
+        """
+        return self.central >= AGREE * self.moving
 
     @property
     def decided(self) -> bool:
@@ -236,7 +250,7 @@ def velocities(stage: Usd.Stage) -> Iterator[Verdict]:
         alike = (seen for *both, seen in near if _is_twin(both, (position, velocity)))
         tally = next(alike, None) or tally_of(position, velocity, rate)
         near.append((position, velocity, tally))
-        if not tally.moving:
+        if not tally.moving or tally.differenced:
             continue
         fix = f"author stage units per second; this stage has {rate:g} time codes per second"
         if not tally.decided:
