@@ -99,6 +99,11 @@ class Plan:
         return any(not pin.rigid for pin in self.pins)
 
     @property
+    def has_flesh(self) -> bool:
+        """Whether it is flesh around bones: these are the only pins without a sharp boundary."""
+        return any(not (pin.sharp or pin.rigid) for pin in self.pins)
+
+    @property
     def version(self) -> str:
         return __version__
 

@@ -64,6 +64,9 @@ if TYPE_CHECKING:
     from gf_usd.readers.mesh.to_usd import MeshSource
 
 
+# Times the particles of a bake with --flesh, beyond which none are suggested for small parts, such
+# as eyes: flesh around bones moves as it should with fewer.
+MOST_FOR_PARTS = 4
 DEFAULT_MATERIAL = "rubber"  # where neither an option nor the stage gives one
 # Fills an asset that was read once more, with particles at another spacing [m].
 Refill = Callable[[float], Plan]
@@ -124,6 +127,8 @@ def prepare(
     asset = found.asset
     others = around(found, source, limits, request, presets, prims, meters_per_unit, up_axis)
     plan, solid = fill_found(found, request, law, files, others, repair=repair, progress=progress)
+    if request.flesh:
+        _require_named(plan, prims)
     if once_filled:
 
         def refill(spacing: float) -> Plan:
@@ -154,6 +159,19 @@ def prepare(
     return plan, found.converted
 
 
+def _require_named(plan: Plan, prims: Sequence[str]) -> None:
+    """Raise InputError where a mesh that was named with --prim is not baked."""
+    reasons = dict(plan.asset.skipped)
+    for path in prims:
+        if path in reasons:
+            raise InputError(
+                f"{plan.asset.facts.path}: --prim {path} --flesh: it cannot be baked:"
+                f" {reasons[path]}",
+                "bind it to the skeleton, or animate it; bake it without --flesh; or omit this"
+                " --prim, and it stays as it is in the stage",
+            )
+
+
 def _poorly_filled(plan: Plan, solid: Solid) -> tuple[str, ...]:
     """Notes on parts with too few particles, as `inspect` names them."""
     from gf_usd.geometry.thin.advice import poor_note, specks_note
@@ -179,6 +197,8 @@ def poor_parts_of(plan: Plan, solid: Solid) -> tuple[Part, ...]:
         return ()
     found = poor_parts(solid, plan.particles, plan.samples)
     parts = tuple(part for part in found if not flows[solid.filled[part.path]])
+    if plan.has_flesh:
+        parts = _without_excessive(parts, MOST_FOR_PARTS * len(plan.particles))
     pins = [pin for pin in plan.pins if all(pin.axes)]
     if not parts or not pins:
         return parts
@@ -191,6 +211,13 @@ def poor_parts_of(plan: Plan, solid: Solid) -> tuple[Part, ...]:
     held = np.any([pin.holds(at, body) for pin in pins for at in (X, above, below)], axis=0)
     every = np.logical_and.reduceat(held, np.cumsum([0, *counts[:-1]]))
     return tuple(parts[k] for k in np.flatnonzero(~every))
+
+
+def _without_excessive(parts: Sequence[Part], most: int) -> tuple[Part, ...]:
+    """The parts, without a suggestion of more than `most` particles."""
+    return tuple(
+        replace(part, suggested=None) if (part.suggested or 0) > most else part for part in parts
+    )
 
 
 def _flowing_surfaces(plan: Plan, solid: Solid) -> NDArray[np.bool_]:

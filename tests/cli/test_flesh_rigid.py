@@ -10,6 +10,7 @@ from arm import BOOT, BOOT_CORNERS, BOOT_FACES, FIRST, LAST, arm, booted, drawn,
 from pxr import Usd
 
 import gf_usd
+from gf_usd.core.errors import InputError
 from gf_usd.prepare.prepare import prepare
 
 FEW = {"particles": 400, "preroll": 6, "flesh": True, "material": "jelly"}
@@ -168,3 +169,24 @@ def test_a_cape_that_no_flesh_holds_moves_with_its_skin(tmp_path: Path) -> None:
     # within the way of a quarter of a frame: it follows with the lag of its springs
     way = np.linalg.norm(wanted - rest, axis=1).max()
     assert np.linalg.norm(moved - wanted, axis=1).max() < 0.25 * way / (LAST - FIRST) + 0.02
+
+
+def test_a_mesh_that_is_named_is_baked_or_refused(tmp_path: Path) -> None:
+    """It was left out with a note, although --prim named it."""
+    stool = """
+    def Cube "Stool"
+    {
+        double size = 0.3
+        double3 xformOp:translate = (0.5, -2, 0)
+        uniform token[] xformOpOrder = ["xformOp:translate"]
+    }
+}
+"""
+    path = write(tmp_path, arm().rstrip().removesuffix("}") + stool)
+    options = {**FEW, "output": tmp_path / "o.usda", "draw": None}
+    plan, _ = prepare(path, prims=["/Arm/Skin"], **options)
+    assert [s.path for s in plan.asset.surfaces] == ["/Arm/Skin"]
+    prepare(path, **options)  # with a note
+    with pytest.raises(InputError, match="--prim /Arm/Stool --flesh: it cannot be baked: no") as e:
+        prepare(path, prims=["/Arm/Skin", "/Arm/Stool"], **options)
+    assert "bind it to the skeleton" in str(e.value.hint)

@@ -168,6 +168,7 @@ def test_totals_and_extremes() -> None:
         "resting_penetration_spacings": pytest.approx(0.2),
         "first_contact_frame": 1,
         "falls": True,
+        "flesh": False,
         "shift_max_m": 0.0,
         "min_J": 0.4,
         "max_J": 1.4,

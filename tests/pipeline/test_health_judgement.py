@@ -188,6 +188,17 @@ def test_a_frame_has_the_time_code_that_players_show() -> None:
     assert "up to 3 at once, from frame 1 (time code 1002) on, down to" in warning.message
 
 
+def test_flesh_that_hangs_is_held_by_its_own_options() -> None:
+    """A character has no --pin: the hint named a larger pinned region."""
+    stretched = CASES["stretched"][1]
+    (warning,) = health_warnings({**stretched, "flesh": True})
+    assert "--goal-frequency 4" in warning.hint
+    assert "--stretch 0.5" in warning.hint
+    assert "pin" not in warning.hint
+    (other,) = health_warnings(stretched)
+    assert "pin a larger region" in other.hint
+
+
 @pytest.mark.parametrize("about", CASES)
 def test_both_sides_of_a_limit(about: str) -> None:
     sound, unsound, message = CASES[about]

@@ -30,6 +30,7 @@ class HealthLog:
     particles : number; counts over frames are also reported as shares of it.
     held : the body is pinned, so that it neither falls freely nor bounces.
     bodies : number of bodies.
+    flesh : the body is flesh around bones.
     """
 
     def __init__(
@@ -43,10 +44,11 @@ class HealthLog:
         held: bool = False,
         bodies: int = 1,
         obstacles: bool = False,
+        flesh: bool = False,
     ) -> None:
         self._settings, self._spacing, self._drop = settings, spacing, drop
         self._radius, self._particles, self._held = radius, particles, held
-        self._bodies, self._obstacles = bodies, obstacles
+        self._bodies, self._obstacles, self._flesh = bodies, obstacles, flesh
         self.frames: list[Health] = []
         self._passing: list[Health] = []  # samples since the last frame
 
@@ -122,6 +124,7 @@ class HealthLog:
             "stress_capped_share": sum(f.stress_capped for f in h) / many,
             "friction_capped": sum(f.friction_capped for f in h),
             "falls": self._falls,
+            "flesh": self._flesh,
             "shift_max_m": max(math.dist(f.center, h[0].center) for f in h),
             **self._energies(),
             **self._momenta(),

@@ -180,9 +180,19 @@ def _stretched(h: HealthSummary) -> MessageAndHint:
         f"{percent_text(share)} of the volume of <{h['stretched_body']}> was stretched more than"
         f" {STRETCH:g}-fold in {_frame(h, 'stretched_frame')}, single particles"
         f" {h['max_stretch']:.3g}-fold; it is too soft for its own weight or its motion",
-        f"use a stiffer material (a preset in pascals for thin parts), {_gentler(h)}, or pin a"
-        " larger region of what is pinned",
+        f"use a stiffer material (a preset in pascals for thin parts), {_gentler(h)}, or"
+        f" {_held_more(h)}",
     )
+
+
+def _held_more(h: HealthSummary) -> str:
+    """Text: how to hold more of a body that hangs from what is held."""
+    if h.get("flesh"):
+        return (
+            "hold more of the flesh: --goal-frequency 4 pulls it to its skinned pose, --stretch 0.5"
+            " keeps it near, and a larger --bone-radius leaves less of it loose"
+        )
+    return "pin a larger region of what is pinned"
 
 
 def _rollbacks(h: HealthSummary) -> MessageAndHint:

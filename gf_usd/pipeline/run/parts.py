@@ -56,6 +56,7 @@ def health_log(plan: Plan, since: Checkpoint | None) -> HealthLog:
         held=has_driven_motion(plan),
         bodies=plan.bodies.count if plan.bodies else 1,
         obstacles=bool(plan.contact_setup and plan.contact_setup.colliders),
+        flesh=plan.has_flesh,
     )
     if since is not None:
         log.load(since.log)

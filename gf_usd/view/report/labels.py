@@ -95,6 +95,7 @@ ROWS: tuple[Row, ...] = (
         "",
         "mean of the cells that have any; about 6 where the material is deep",
     ),
+    Row("flesh", "Flesh", "", "whether the bake has --flesh"),
     Row("falls", "Falls", "", "whether gravity takes the body to a floor or an obstacle"),
     Row("shift_max_m", "Largest displacement", "m", "of the center of mass from its start"),
     Row("kinetic_max_J", "Largest kinetic energy", "J", "of any frame"),

@@ -8,6 +8,7 @@ import numpy as np
 
 from gf_usd.geometry.thin.advice import poor_note, specks_note
 from gf_usd.geometry.thin.parts import Part
+from gf_usd.prepare.prepare import _without_excessive
 
 ROD = Part(
     path="/Body", shell=1, kind="thin", low=np.zeros(3), high=np.array([0.3, 0.4, 0.0]),
@@ -45,3 +46,10 @@ def test_specks_are_no_parts_that_are_too_stiff():
     assert poor_note((SPECK,)) == ""
     assert specks_note((ROD, SPECK)).startswith("1 speck, 50 cm large, is apart from the rest")
     assert poor_note((ROD, SPECK)) == poor_note((ROD,))
+
+
+def test_far_more_particles_than_a_bake_has_are_not_suggested():
+    """For the eyes of a character 20,000 were where 4,000 did."""
+    eyes = replace(ROD, suggested=20_001)
+    assert [p.suggested for p in _without_excessive((ROD, eyes), 20_000)] == [9000, None]
+    assert "--particles" not in poor_note(_without_excessive((eyes,), 20_000))
