@@ -167,8 +167,8 @@ def _require_named(plan: Plan, prims: Sequence[str]) -> None:
             raise InputError(
                 f"{plan.asset.facts.path}: --prim {path} --flesh: it cannot be baked:"
                 f" {reasons[path]}",
-                "bind it to the skeleton, or animate it; bake it without --flesh; or omit this"
-                " --prim, and it stays as it is in the stage",
+                "bind it to the skeleton, or, where there is none, animate it; bake it without"
+                " --flesh; or omit this --prim, and it stays as it is in the stage",
             )
 
 

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 PROP = "it touches no mesh of a character, so that nothing would support it"
 SHEET = "it encloses no volume and is not near a mesh of a character"
 GROUND = "it is flat and lies under everything else, as a ground does"
+OWN = "it has an animation of its own"
 WORN = "it is open, and others pass through its holes, as through those of a garment"
 NEAR = 0.02  # of the size of the characters: open meshes that are farther away do not follow them
 
@@ -38,7 +39,8 @@ def without_props(asset: Asset, solid: Solid, file: Path, spacing: float) -> Ass
 
     They are neither posed by a skeleton, or animated where there is none, nor connected to meshes
     that are.  Filled ones would fall: with `--flesh` there is no floor by default.  Sheets would
-    follow the nearest flesh, however far away, and the ground the feet that stand on it.
+    follow the nearest flesh, however far away, and the ground the feet that stand on it.  Beside a
+    skeleton, a mesh with an animation of its own keeps it.
 
     spacing : [m] approximate spacing of the particles.
     """
@@ -46,7 +48,8 @@ def without_props(asset: Asset, solid: Solid, file: Path, spacing: float) -> Ass
     from gf_usd.readers.usd_bake.caches import animated_meshes, has_animated_points
 
     paths, unmoved = [s.path for s in asset.surfaces], "no skeleton poses it"
-    moved, nearest = set(skeletons(file, paths, asset.facts)), False
+    posed = skeletons(file, paths, asset.facts)
+    moved, nearest = set(posed), False
     if not moved:
         # without animated points all meshes follow the nearest bones of the only skeleton
         nearest = not has_animated_points(file, paths, asset.facts) and bool(lone_skeleton(file))
@@ -58,6 +61,12 @@ def without_props(asset: Asset, solid: Solid, file: Path, spacing: float) -> Ass
     reasons = scenery_of(asset, solid)
     reasons |= {s.path: GROUND for s, _ in grounds(asset.surfaces, asset.facts.up)}
     reasons = {path: reason for path, reason in reasons.items() if path in loose}
+    if posed:
+        # In the bind pose, which is the rest shape, they would be at another part of the flesh.
+        beside = sorted({skeleton for skeleton, _ in posed.values()})
+        free = sorted(loose - reasons.keys())
+        own = animated_meshes(file, free, asset.facts, beside)
+        reasons |= dict.fromkeys(own, OWN)
     if not nearest:
         apart = _apart(asset, solid, loose, reasons, spacing)
         if apart is None:

@@ -18,7 +18,7 @@ MOST_NAMED = 3  # prims that each have a note of their own for the same reason
 
 def not_baked_notes(skipped: Iterable[tuple[str, str]]) -> tuple[str, ...]:
     """The notes on prims that are not baked, each with a reason of the reader."""
-    from gf_usd.prepare.bodies.characters import GROUND, PROP, SHEET
+    from gf_usd.prepare.bodies.characters import GROUND, OWN, PROP, SHEET
     from gf_usd.prepare.bodies.grounds import ROOM, SCENERY, WALL
     from gf_usd.readers.usd.select import KINDS, PROXY, REPEATED
 
@@ -34,6 +34,8 @@ def not_baked_notes(skipped: Iterable[tuple[str, str]]) -> tuple[str, ...]:
         " PhysicsCollisionAPI to make it an obstacle",
         ROOM: f"; it {stays}. Bodies collide with the floor of the bake, not with it: apply"
         " PhysicsCollisionAPI to make it an obstacle, or turn its faces outward to make it soft",
+        OWN: f"; it {stays}: bind it to the skeleton to make it follow, or apply"
+        " PhysicsCollisionAPI to make it an obstacle",
         PROP: f"; it {stays}: bake it by itself (--prim), or apply PhysicsCollisionAPI to make it"
         " an obstacle",
         PROXY: f"; it {stays}: viewers that draw proxies, as usdview does by default, show it at"

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-from pxr import Usd, UsdGeom
+from pxr import Gf, Sdf, Usd, UsdGeom
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import StageFacts
@@ -24,6 +24,8 @@ from gf_usd.readers.usd.skeleton import has_influences, unposed
 from gf_usd.readers.usd.stage import open_stage, reading
 from gf_usd.readers.usd_physics.motion import bare_reading
 
+SAME = 1e-9  # entries of transforms that are alike differ by less
+
 
 def has_animated_points(file: Path, paths: Sequence[str], facts: StageFacts) -> bool:
     """Whether the points of any of some meshes have time samples."""
@@ -33,14 +35,20 @@ def has_animated_points(file: Path, paths: Sequence[str], facts: StageFacts) -> 
         return any(one and one.GetPointsAttr().GetNumTimeSamples() > 1 for one in every)
 
 
-def animated_meshes(file: Path, paths: Sequence[str], facts: StageFacts) -> set[str]:
+def animated_meshes(
+    file: Path, paths: Sequence[str], facts: StageFacts, beside: Sequence[str] = ()
+) -> set[str]:
     """Those of some meshes whose points or transforms, or those of prims above, have time samples.
 
     A mesh under an animated transform is one of them.
+
+    beside : prim paths of what moves with the transforms above it: these do not count, and neither
+        does a transform that is the same at all its samples.
     """
     found = set()
     with reading(file):
         stage = open_stage(file)
+        common = {p for one in beside for p in Sdf.Path(one).GetPrefixes()}
         for path in paths:
             prim = named_prim(stage, facts.path, path)
             points = UsdGeom.PointBased(prim)
@@ -48,10 +56,22 @@ def animated_meshes(file: Path, paths: Sequence[str], facts: StageFacts) -> set[
                 found.add(path)
             while path not in found and prim and not prim.IsPseudoRoot():
                 placed = UsdGeom.Xformable(prim)
-                if placed and len(placed.GetTimeSamples()) > 1:
+                if placed and prim.GetPath() not in common and _moves(placed, bool(beside)):
                     found.add(path)
                 prim = prim.GetParent()
     return found
+
+
+def _moves(placed: UsdGeom.Xformable, values: bool) -> bool:
+    """Whether a transform has several time samples, and, with `values`, not all alike."""
+    codes = placed.GetTimeSamples()
+    if not values or len(codes) < 2:
+        return len(codes) > 1
+    first = placed.GetLocalTransformation(Usd.TimeCode(codes[0]))
+    return any(
+        not Gf.IsClose(placed.GetLocalTransformation(Usd.TimeCode(code)), first, SAME)
+        for code in codes[1:]
+    )
 
 
 def cache_range(file: Path, paths: Sequence[str], facts: StageFacts) -> tuple[float, float]:

@@ -10,7 +10,7 @@ from arm import arm, write
 
 from gf_usd.core.arrays import Floats
 from gf_usd.geometry.solid import build_solid
-from gf_usd.prepare.bodies.characters import GROUND, PROP, SHEET, without_props
+from gf_usd.prepare.bodies.characters import GROUND, OWN, PROP, SHEET, without_props
 from gf_usd.readers import read_asset
 
 QUAD = np.array([(-1.0, 0.0, -1.0), (-1.0, 0.0, 1.0), (1.0, 0.0, 1.0), (1.0, 0.0, -1.0)])
@@ -147,3 +147,28 @@ def test_the_ground_does_not_follow_the_nearest_bones_either(tmp_path: Path) -> 
     text = text.replace("float[] primvars:skel:jointWeights", "float[] primvars:b")
     text = text.rstrip().removesuffix("}") + quad("Ground", 5.0, (1.0, -0.5, 0.0)) + "}"
     assert left_out(write(tmp_path, text)) == {"Ground": f"no skeleton poses it, and {GROUND}"}
+
+
+def under_transform(body: str, name: str, places: tuple[tuple[float, float, float], ...]) -> str:
+    """A prim under a transform with time samples from 1 on."""
+    samples = ", ".join(f"{k + 1}: {place}" for k, place in enumerate(places))
+    return f"""
+    def Xform "{name}"
+    {{
+        double3 xformOp:translate.timeSamples = {{ {samples} }}
+        uniform token[] xformOpOrder = ["xformOp:translate"]
+        {body}
+    }}
+"""
+
+
+def test_a_mesh_with_an_animation_of_its_own_keeps_it_beside_a_skeleton(tmp_path: Path) -> None:
+    """Eyes under an animated transform were attached where they are in the first frame, to a head
+    in its bind pose.
+    """
+    moving = ((0.0, 0.0, 0.0), (0.0, 0.3, 0.0))
+    eye = under_transform(box("Eye", (0.2, 0.2, 0.2), (1.8, 0.2, 0.0)), "Head", moving)
+    still = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    watch = under_transform(box("Watch", (0.2, 0.2, 0.2), (0.5, 0.2, 0.0)), "Wrist", still)
+    found = left_out(with_arm(tmp_path, eye, watch))
+    assert found == {"Eye": f"no skeleton poses it, and {OWN}"}
