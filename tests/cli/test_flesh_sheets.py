@@ -59,11 +59,14 @@ def posed(X: np.ndarray, code: float) -> np.ndarray:
 
 
 @pytest.mark.slow
-def test_a_skirt_follows_its_joint_and_not_the_flesh_that_is_nearest(tmp_path: Path) -> None:
+@pytest.mark.parametrize("skin", ["embed", "idw"])
+def test_a_skirt_follows_its_joint_and_not_the_flesh_that_is_nearest(
+    tmp_path: Path, skin: str
+) -> None:
     """The hem of a skirt was torn between the legs that it happened to be near."""
     path = skirted(tmp_path, (1.0, 0.6, 0.2), (0.35, 0.7, 1.1), joint=1)
     out = tmp_path / "out.usda"
-    result = gf_usd.bake(path, output=out, **FEW)
+    result = gf_usd.bake(path, output=out, skin=skin, **FEW)
     notes = " ".join(result.notes)
     assert "</Arm/Skirt> is not filled: it follows its skinned pose, and the flesh near it" in notes
     assert "becomes as soft" not in notes

@@ -133,11 +133,12 @@ class FrameBuilder:
 
         s = self._settings
         gaussians = self._track.advance(frame.particles)
-        poses = self._with_sheets(frame)
+        poses = self._with_sheets(frame.embedded, frame.index)
         if self._observer:
             self._observer.add_frame(frame, poses)
         if self._skin:
-            poses = self._skin.poses(frame.particles, self._track.turn)
+            skinned = self._skin.poses(frame.particles, self._track.turn)
+            poses = self._with_sheets(skinned, frame.index)
         meshes = {}
         splats = self._splats.poses(poses, s.time_code(frame.index))
         for surface in self._surfaces:
@@ -178,13 +179,12 @@ class FrameBuilder:
             },
         )
 
-    def _with_sheets(self, frame: Frame) -> Mapping[str, Pose]:
-        """The embedded poses of a frame, with those of sheets."""
-        sheets = {path: one for path, one in self._sheets.items() if path in frame.embedded}
+    def _with_sheets(self, poses: Mapping[str, Pose], index: int) -> Mapping[str, Pose]:
+        """The poses of embedded points at a frame, with those of sheets."""
+        sheets = {path: one for path, one in self._sheets.items() if path in poses}
         time = self._settings.frame_time
-        return dict(frame.embedded) | {
-            path: sheet.pose(frame.embedded[path], frame.index, time)
-            for path, sheet in sheets.items()
+        return dict(poses) | {
+            path: sheet.pose(poses[path], index, time) for path, sheet in sheets.items()
         }
 
     def _converted(self, frame: Frame) -> frozenset[int]:
