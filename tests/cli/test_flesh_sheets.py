@@ -11,13 +11,19 @@ from arm import FIRST, LAST, arm, drawn, write
 from pxr import Usd
 
 import gf_usd
+from gf_usd.core.errors import InputError
+from gf_usd.prepare.prepare import prepare
 
 FEW = {"particles": 400, "preroll": 12, "flesh": True, "material": "rubber", "progress": None}
 AROUND, TURNS = 12, np.arange(12) * np.pi / 6.0
 
 
-def skirted(folder: Path, along: tuple[float, ...], radii: tuple[float, ...], joint: int) -> Path:
-    """The arm with an open tube around it, /Arm/Skirt, that is bound to one joint."""
+def skirted(
+    folder: Path, along: tuple[float, ...], radii: tuple[float, ...], joint: int, other: int = -1
+) -> Path:
+    """The arm with an open tube around it, /Arm/Skirt, that is bound to one joint; other : that of
+    its last ring, the same by default.
+    """
     rings = [
         (x, r * np.cos(turn), r * np.sin(turn)) for x, r in zip(along, radii) for turn in TURNS
     ]
@@ -27,6 +33,7 @@ def skirted(folder: Path, along: tuple[float, ...], radii: tuple[float, ...], jo
         for k in range(len(along) - 1)
         for j in range(AROUND)
     ]  # fmt: skip
+    bound = [joint] * (len(rings) - AROUND) + [joint if other < 0 else other] * AROUND
     tube = f"""
     def Mesh "Skirt" ( prepend apiSchemas = ["SkelBindingAPI"] )
     {{
@@ -35,7 +42,7 @@ def skirted(folder: Path, along: tuple[float, ...], radii: tuple[float, ...], jo
         int[] faceVertexCounts = {[4] * len(corners)}
         int[] faceVertexIndices = {[c for face in corners for c in face]}
         rel skel:skeleton = </Arm/Skel>
-        int[] primvars:skel:jointIndices = {[joint] * len(rings)} (
+        int[] primvars:skel:jointIndices = {bound} (
             elementSize = 1
             interpolation = "vertex"
         )
@@ -87,3 +94,15 @@ def test_a_narrow_skirt_is_not_filled_around_the_body(tmp_path: Path) -> None:
     notes = " ".join(result.notes)
     assert re.search(r"</Arm/Skirt> is not filled: .* others pass through its holes", notes)
     assert "filled despite" not in notes
+
+
+def test_a_sheet_of_one_joint_can_be_rigid_and_one_of_several_cannot(tmp_path: Path) -> None:
+    """A skirt in --rigid made the legs in it rigid, and turned flesh inside out."""
+    shape = (1.0, 0.6, 0.2), (0.35, 0.7, 1.1)
+    options = {"particles": 400, "preroll": 12, "flesh": True, "rigid": ["/Arm/Skirt"]}
+    options |= {"output": tmp_path / "out.usda", "draw": None}
+    plan, _ = prepare(skirted(tmp_path, *shape, joint=1), **options)
+    assert "</Arm/Skirt> is not filled: it moves exactly with its joint" in " ".join(plan.notes)
+    assert plan.sheets == {}
+    with pytest.raises(InputError, match="--rigid /Arm/Skirt --flesh: it encloses no volume"):
+        prepare(skirted(tmp_path, *shape, joint=1, other=0), **options)

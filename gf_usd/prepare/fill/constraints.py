@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from gf_usd.core.errors import counted
+from gf_usd.core.errors import InputError, counted
 from gf_usd.core.frames import Settings, sampled, written
 from gf_usd.core.stage import Goals, Pin
 from gf_usd.prepare.bodies.contact import LimbPlan
@@ -33,7 +33,7 @@ def constrain(inputs: Inputs, filled: FilledBodies, shot: Shot, pins: Sequence[P
     """pins : in addition to those of the options and of the stage.
 
     Raises InputError and UsageError for pins that bodies that flow or can be converted, or solid
-    ones next to them, do not support.
+    ones next to them, do not support, and for a sheet of a character in --rigid.
     """
     found = _find_constraints(inputs, filled, shot, pins)
     flow = inputs.flow
@@ -78,6 +78,12 @@ def _find_constraints(
         if filled.characters:
             meet_from = animation.lead(every, cycle * settings.samples_per_frame * repeats)
     names = [name for name in request.listed("rigid") if name not in flesh.rigid]
+    if sheets := [name for name in names if name in flesh.sheets]:
+        raise InputError(
+            f"{asset.facts.path}: --rigid {sheets[0]} --flesh: it encloses no volume that could be"
+            " rigid: it follows its skinned pose, and the flesh near it",
+            "omit it; or name a mesh that is closed, or bound to a single joint",
+        )
     found += make_pins(
         names, asset, solid, every, file, rest=request.start, option="--rigid", bodies=of_surface
     )  # fmt: skip

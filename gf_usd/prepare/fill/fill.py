@@ -179,6 +179,7 @@ def fill(
     cages = cage_notes(drawn, spacing, refined=refined)
     heavy, stated_heavy = implausible_densities(materials.stated, asset.facts.units)
     coarse, coarse_meshes = coarse_note(drawn, spacing, refined=refined)
+    joined_to = {path for pin in constraints.pins for path in pin.meshes}
     notes = (
         *_ground_notes(inputs, scenery), *_asset_notes(asset, shot.animation),
         *(one.note for one in advice), *meshes.notes, *filled.count_notes, *flow_notes,
@@ -187,7 +188,8 @@ def fill(
         *filled.resolution_notes, *filled.bodies.notes, *overlap_notes,
         *cages, *filter(None, (coarse,)), *unpinned,
         *filled.character_notes, *constraints.flesh.notes, *limbs.notes, *materials.notes,
-        *softness, *length.physics.notes, *not_filled_notes(solid, constraints.flesh.sheets),
+        *softness, *length.physics.notes,
+        *not_filled_notes(solid, constraints.flesh.sheets, joined_to),
         *not_baked_notes(asset.skipped), *SKIN_NOTES.get(settings.skin, ()),
         *paper_notes(materials.main, each), *split_notes,
         *no_internals_notes(materials.main, settings),

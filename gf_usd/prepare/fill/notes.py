@@ -50,30 +50,41 @@ def not_baked_notes(skipped: Iterable[tuple[str, str]]) -> tuple[str, ...]:
     return tuple(note(*group) for group in _by_reason(skipped))
 
 
-def not_filled_notes(solid: Solid, sheets: Collection[str] = ()) -> tuple[str, ...]:
+# How meshes that are not filled move: of one, and of several.
+WITH_BODY = ("moves with the nearest body", "move with the nearest body")
+SKINNED = (
+    "follows its skinned pose, and the flesh near it,",
+    "follow their skinned poses, and the flesh near them,",
+)
+WITH_JOINT = ("moves exactly with its joint", "move exactly with their joints")
+
+
+def not_filled_notes(
+    solid: Solid, sheets: Collection[str] = (), held: Collection[str] = ()
+) -> tuple[str, ...]:
     """The notes on meshes that move with a body, each with the reason why it is not filled.
 
     Those on sides of walls are `Walls.notes`.
 
-    sheets : prim paths of those that follow their skinned pose.
+    sheets, held : prim paths of those that follow their skinned pose, and those that a joint moves.
     """
 
-    def note(path: str, more: int, reason: str, skinned: bool) -> str:
-        way = ("moves", "move") if not skinned else ("follows", "follow")
-        what = "its skinned pose, and the flesh near it," if skinned else "with the nearest body"
+    def note(path: str, more: int, reason: str, way: tuple[str, str]) -> str:
         if more:
-            them = "their skinned poses, and the flesh near them," if skinned else what
             return (
-                f"<{path}> and {more} more are not filled: they {way[1]} {them} and do not collide;"
+                f"<{path}> and {more} more are not filled: they {way[1]} and do not collide;"
                 f" {reason}"
             )
-        return f"<{path}> is not filled: it {way[0]} {what} and does not collide; {reason}"
+        return f"<{path}> is not filled: it {way[0]} and does not collide; {reason}"
+
+    def way_of(path: str) -> tuple[str, str]:
+        return WITH_JOINT if path in held else SKINNED if path in sheets else WITH_BODY
 
     left = [one for one in solid.embedded if one[0] not in solid.walls]
     return tuple(
-        note(*group, skinned)
-        for skinned in (False, True)
-        for group in _by_reason(one for one in left if (one[0] in sheets) == skinned)
+        note(*group, way)
+        for way in (WITH_BODY, SKINNED, WITH_JOINT)
+        for group in _by_reason(one for one in left if way_of(one[0]) is way)
     )
 
 
