@@ -39,7 +39,7 @@ HEALTH = {
     "energy_end_J", "energy_max_J", "energy_scale_J", "energy_gain_max_J", "energy_gain_max_share",
     "dissipated_J", "work_of_pins_J", "injected_J", "planes_J", "planes_gain_share", "momentum_end",
     "angular_momentum_end", "free_flight_frames", "momentum_drift", "angular_momentum_drift",
-    "falls", "shift_max_m", "kinetic_max_J", "settling_dissipation_J",
+    "falls", "flesh", "shift_max_m", "kinetic_max_J", "settling_dissipation_J",
 }  # fmt: skip
 # no law flows, few frames are looked at for what is inside; "centre" until 1.0
 FRAME = {"time_code", *Health.__dataclass_fields__, "centre", "energy", "energy_gain"} - {
