@@ -1,11 +1,8 @@
 """Goal springs: positions of flesh in the skinned pose, and the stiffness of springs to them.
 
-The skinned pose of a point with bone weights w_j is (linear blend skinning)
-
-    x(X, t) = sum_j w_j (A_j(t) X + b_j(t))
-
-Weights are authored on the surface.  A point inside the body takes those of the nearest surface
-samples, averaged with w ~ 1 / (d^2 + e^2)^2, where e is a share of the sample spacing.
+The skinned pose is that of `linear_blend`.  Weights are authored on the surface.  A point inside
+the body takes those of the nearest surface samples, averaged with w ~ 1 / (d^2 + e^2)^2, where e is
+a share of the sample spacing.
 
 A goal weight g in 0..1 gives springs of the frequency f sqrt(g / (1 - g)): 0 at g = 0, f at
 g = 1/2, infinite at g = 1.
@@ -25,6 +22,7 @@ from gf_usd.core.arrays import Floats, Ints, cross
 from gf_usd.core.frames import SurfaceSamples
 from gf_usd.core.neighbors import nearest
 from gf_usd.core.stage import FleshLimits, Goals, Skeleton
+from gf_usd.geometry.flesh.linear_blend import bone_transforms, skinned
 from gf_usd.geometry.solid import Solid
 
 NEAR = 16  # surface samples that are averaged for a point inside
@@ -75,7 +73,7 @@ def flesh_goals(
         each frame; empty: they are constant.
     """
     skin = on_skin(solid, samples.X)
-    linear, offset = affine(skeleton)
+    linear, offset = bone_transforms(skeleton)
     offsets = skeleton.samples.offsets if skeleton.samples else ()
     moving = bool((linear != np.eye(3)).any() or offset.any())
     moving = moving or any(one.any() for one in offsets)
@@ -103,7 +101,7 @@ class _Springs:
     """The functions of `Goals`; a class, because plans with closures cannot be pickled."""
 
     drawn: SkinSamples
-    linear: Floats  # (F, bones, 3, 3) as in `affine`
+    linear: Floats  # (F, bones, 3, 3) as in `bone_transforms`
     offset: Floats  # (F, bones, 3) [m]
     offsets: tuple[Floats, ...]  # of each frame, (n, 3) [m] added to the samples
     frequency: float  # [Hz]
@@ -119,8 +117,7 @@ class _Springs:
 
         def at(frame: float) -> Floats:
             k = int(np.clip(round(frame), 0, len(self.linear) - 1))
-            A = (weights @ self.linear[k].reshape(-1, 9)).reshape(-1, 3, 3)
-            moved = np.einsum("nab,nb->na", A, X) + weights @ self.offset[k]
+            moved = skinned(weights, self.linear[k], self.offset[k], X)
             if len(self.offsets):
                 moved += around @ self.offsets[k]
             return np.where(known[:, None] > 0.0, moved, X)
@@ -149,16 +146,6 @@ class _Springs:
             return np.zeros(around.shape[0])
         with np.errstate(divide="ignore"):
             return np.asarray(2.0 * np.pi * self.frequency * posed * np.sqrt(g / (1.0 - g)))
-
-
-def affine(skeleton: Skeleton) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """A (F, bones, 3, 3) and b (F, bones, 3) [m] of the affine bone transforms at each frame."""
-    rest = np.stack([bone.anchors for bone in skeleton.bones])  # (B, 4, 3)
-    path = np.stack([bone.path for bone in skeleton.bones], 1)  # (F, B, 4, 3)
-    edges = np.linalg.inv(rest[:, 1:] - rest[:, :1])
-    linear = np.swapaxes(edges @ (path[:, :, 1:] - path[:, :, :1]), 2, 3)
-    offset = path[:, :, 0] - np.einsum("fbac,bc->fba", linear, rest[:, 0])
-    return linear, offset
 
 
 def _skin_samples(

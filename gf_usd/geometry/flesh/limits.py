@@ -21,7 +21,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.stage import FleshLimits, Skeleton
 from gf_usd.geometry.flesh.cores import Cores
-from gf_usd.geometry.flesh.goals import affine
+from gf_usd.geometry.flesh.linear_blend import bone_transforms
 
 
 def flesh_limits(
@@ -36,7 +36,7 @@ def flesh_limits(
 
     squish, stretch : q and s; None: no such constraint.  cell : [m] edge of a cell.
     """
-    linear, offset = affine(skeleton)
+    linear, offset = bone_transforms(skeleton)
     bones = _Bones(cores=cores, linear=linear, offset=offset, cell=cell)
     return FleshLimits(
         carried=bones.carried,
@@ -50,7 +50,7 @@ class _Bones:
     """The functions of `FleshLimits`; a class, because plans with closures cannot be pickled."""
 
     cores: Cores
-    linear: Floats  # (F, bones, 3, 3) as in `affine`
+    linear: Floats  # (F, bones, 3, 3) as in `bone_transforms`
     offset: Floats  # (F, bones, 3) [m]
     cell: float  # [m]
 

@@ -31,7 +31,8 @@ from gf_usd.core.matrices import signed_polar
 from gf_usd.core.neighbors import nearest
 from gf_usd.core.stage import Bone, SampledSkin, Skeleton
 from gf_usd.geometry.flesh.cores import WIDER, Core, Cores
-from gf_usd.geometry.flesh.goals import affine, on_skin
+from gf_usd.geometry.flesh.goals import on_skin
+from gf_usd.geometry.flesh.linear_blend import bone_transforms, skinned
 from gf_usd.geometry.regions import Shape
 from gf_usd.geometry.solid import Solid
 
@@ -75,12 +76,8 @@ def medial_skeleton(
         _bone(k, points[piece == k], np.asarray(weights[:, [k]].todense()).ravel(), samples.X, path)
         for k in range(count)
     )
-    linear, offset = affine(Skeleton(bones=bones))
-    offsets = []
-    for frame, now in enumerate(path):
-        A = (weights @ linear[frame].reshape(-1, 9)).reshape(-1, 3, 3)
-        skinned = np.einsum("nab,nb->na", A, samples.X) + weights @ offset[frame]
-        offsets.append(now - skinned)
+    linear, offset = bone_transforms(Skeleton(bones=bones))
+    offsets = [now - skinned(weights, A, b, samples.X) for now, A, b in zip(path, linear, offset)]
     skin = SampledSkin(weights=weights, offsets=offsets)
     return Skeleton(bones=bones, samples=skin), _cores(points, depth, piece, count, share, cell)
 

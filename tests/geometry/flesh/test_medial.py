@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from gf_usd.core.errors import InputError
 from gf_usd.core.frames import SurfaceSamples
-from gf_usd.geometry.flesh.goals import affine, flesh_goals
+from gf_usd.geometry.flesh.goals import flesh_goals
+from gf_usd.geometry.flesh.linear_blend import bone_transforms
 from gf_usd.geometry.flesh.medial import medial_points, medial_skeleton
 from gf_usd.geometry.solid import Solid, build_solid
 from gf_usd.readers import read_asset
@@ -66,7 +67,7 @@ def test_a_body_that_turns_turns_its_pieces_without_offsets(tmp_path: Path) -> N
     # points of the mesh are float32
     solid, X, samples = body(tmp_path)
     skeleton, cores = made(solid, X, samples, motion, share=0.2)
-    linear, offset = affine(skeleton)
+    linear, offset = bone_transforms(skeleton)
     for k in range(3):
         moved = np.einsum("bij,nj->bni", linear[k], X) + offset[k][:, None]
         np.testing.assert_allclose(moved, np.broadcast_to(motion(X, k), moved.shape), atol=1e-7)
