@@ -11,7 +11,7 @@ and the rest is counted as `injected`.  The overlap reported is that with the tr
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -19,11 +19,8 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints, Segments
 from gf_usd.core.frames import SurfaceSamples
-from gf_usd.physics.contact.broad_phase import BroadPhase
-from gf_usd.physics.contact.distance.closest import Closest
-from gf_usd.physics.contact.distance.first_overlaps import FirstOverlaps
-from gf_usd.physics.contact.floor import HARD, FloorContact
-from gf_usd.physics.contact.narrow_phase import (
+from gf_usd.physics.contact.detection.broad_phase import BroadPhase
+from gf_usd.physics.contact.detection.narrow_phase import (
     CLOSER,
     FACING,
     TRAVEL,
@@ -33,8 +30,11 @@ from gf_usd.physics.contact.narrow_phase import (
     PosedSkin,
     pair_values,
 )
+from gf_usd.physics.contact.detection.pair_search import PairSearch
+from gf_usd.physics.contact.distance.closest import Closest
+from gf_usd.physics.contact.distance.first_overlaps import FirstOverlaps
+from gf_usd.physics.contact.floor import HARD, FloorContact
 from gf_usd.physics.contact.obstacles.edge_points import EdgePoints
-from gf_usd.physics.contact.obstacles.edge_search import ABOUT
 from gf_usd.physics.contact.obstacles.obstacle import obstacles
 from gf_usd.physics.contact.obstacles.piercing import Piercing
 from gf_usd.physics.contact.planes import layout
@@ -72,6 +72,16 @@ from gf_usd.physics.total_lagrangian.state import State, StateView
 # becomes no deeper than one that touches already.
 WAIT = TRAVEL / CLOSER
 FEWEST = 4  # substeps that are worth a detection of their own before something touches
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Found:
+    """What a search found."""
+
+    outlook: Outlook
+    x: Floats  # (n + m, 3) [m] of samples and points of obstacles, new ones too
+    hold: float  # [s] for which it is all
+    values: Mapping[str, Floats] | None = None  # `pair_values` of the planes; None: there are none
 
 
 class BodyContact:
@@ -123,6 +133,11 @@ class BodyContact:
             reach=self._reach, spacing=self._spacing,
         )  # fmt: skip
         self._overlaps = FirstOverlaps(self.members, self.contact_setup.meet_from, self._spacing)
+        self._pair_search = PairSearch(
+            self._samples, self._skins, self._obstacles, self._edges if points else None,
+            self._rest_gaps, self._overlaps, spacing=self._spacing,
+            frame_time=body.settings.frame_time,
+        )  # fmt: skip
         self._kept = np.zeros(len(skins), bool)  # bodies not searched from at the last detection
         self._x = samples.X  # [m] at the last detection
         # Of samples and points of obstacles, as they were when the kernels last ended.
@@ -327,45 +342,22 @@ class BodyContact:
         strained : [s] limit of the body alone in its strain.
         """
         now, elapsed = state.view(), done * dt
-        frame = index - 1 + elapsed / self._body.settings.frame_time
         time = state.time + elapsed
-        x, v = self._joined(now, time)
         if done:
             self.note_way(now, time, dt)
-        self._frame = frame
-        old = self._stored(x, time)
-        boxes = self._broad_phase.boxes(x, v)
-        pairs, hold = self._broad_phase.pairs(boxes, frame, self._pull)
-        if not done:
-            released = self._overlaps.update(frame, pairs, x, partial(self._posed, now))
-            self._persistence.forget(released)
-        outlook = Outlook.of(
-            x, v, boxes, pairs, [one.speed(frame) > 0.0 for one in self._obstacles],
-            pull=self._pull, time=time, span=left * dt,
-        )  # fmt: skip
-        self._persistence.follow(x)
-        self._kept[:] = not self.lateness.repeats and self._persistence.kept(old.planes, outlook)
-        search, hold = self._search(
-            now, outlook, pairs, old.depth, hold, frame, frame_begins=done == 0
-        )
+        frame = index - 1 + elapsed / self._body.settings.frame_time
+        found = self._renew(state, now, time, frame, left * dt, frame_begins=done == 0)
+        x, v, values = found.x, found.outlook.v, found.values
         landed = self._until_landed(x, v, floor(left * dt) if floor else None)
-        hold = min(hold, landed, self.lateness.bound(time))
-        if not old.planes.any_planes and not search.planes.any_planes:
-            self._gap, self._detected, self._x = search.gap, time, x[: len(self._X)]
-            self._note_search(outlook, np.zeros(len(x)))
+        hold = min(found.hold, landed, self.lateness.bound(time))
+        if values is None:
             self.watched = self.watched[:0]
             return (chunk := int(np.clip(hold / dt, 1, left))), int(np.ceil(chunk * shorter))
-        offset = self._rest_gaps.of_planes(self.planes)
-        self._own.keep_unseen(search, self.planes, offset, old.depth, self._of)
-        self._edges.keep_unseen(search, self.planes, old.depth)
-        x = search.x  # of new points, too
-        self._note_overlap(state)
-        values = self._replace_planes(search, old, outlook)
         slide = self._persistence.slide - self._persistence.slid(self.planes, x)
         hold = min(hold, until_slid(self.planes, slide, v))
         chunk = int(np.clip(hold / dt, 1, left))
         span = chunk * dt
-        calm = self._kept & outlook.hardly_moving(CALM * self._spacing)
+        calm = self._kept & found.outlook.hardly_moving(CALM * self._spacing)
         springs = PairSprings(
             planes=self.planes, k=self._k, values=values, hardening=self._hardening,
             spacing=self._spacing, x=x, v=v, span=span,
@@ -386,6 +378,61 @@ class BodyContact:
         planes = moved(self.planes.only(self.watched), x, v, -dt if done else -0.5 * dt)
         self._upload(state, now, values, dt, planes)
         return chunk, parts
+
+    def faced_springs(self, state: State, span: float) -> PairSprings | None:
+        """The springs to all of other bodies and obstacles that samples face at the begin of the
+        first frame, as if everything were in contact and at rest; None where nothing is faced.
+
+        span : [s] for which they are searched.  A detection as by `detect`, which sets `planes`,
+        but gives the kernels nothing: for contact of its own, next to that of a solver.
+        """
+        found = self._renew(state, state.view(), state.time, 0.0, span, frame_begins=True)
+        if found.values is None:
+            return None
+        of, faced, faces = self.planes.bodies(self._of), self.planes.partner, self.planes.facing
+        others = (self.planes.obstacle[faces] >= 0) | (of[faces] != self._of[faced[faces]])
+        return PairSprings(
+            planes=self.planes.only(faces[others]), k=self._k, values=found.values,
+            hardening=self._hardening, spacing=self._spacing, x=found.x,
+            v=np.zeros_like(found.outlook.v), span=0.0, fall=0.0,
+            calm=np.zeros(len(found.x), bool), nearly=np.inf,
+        )  # fmt: skip
+
+    def _renew(
+        self, state: State, now: StateView, time: float, frame: float, span: float, *,
+        frame_begins: bool,
+    ) -> _Found:  # fmt: skip
+        """Search what samples face at a time [s] of the state, and take these planes.
+
+        frame : where the obstacles are; span : [s] until the next detection, at most.
+        """
+        x, v = self._joined(now, time)
+        self._frame = frame
+        old = self._stored(x, time)
+        boxes = self._broad_phase.boxes(x, v)
+        pairs, hold = self._broad_phase.pairs(boxes, frame, self._pull)
+        if frame_begins:
+            released = self._overlaps.update(frame, pairs, x, partial(self._posed, now))
+            self._persistence.forget(released)
+        outlook = Outlook.of(
+            x, v, boxes, pairs, [one.speed(frame) > 0.0 for one in self._obstacles],
+            pull=self._pull, time=time, span=span,
+        )  # fmt: skip
+        self._persistence.follow(x)
+        self._kept[:] = not self.lateness.repeats and self._persistence.kept(old.planes, outlook)
+        search, hold = self._search(
+            now, outlook, pairs, old.depth, hold, frame, frame_begins=frame_begins
+        )
+        if not old.planes.any_planes and not search.planes.any_planes:
+            self._gap, self._detected, self._x = search.gap, time, x[: len(self._X)]
+            self._note_search(outlook, np.zeros(len(x)))
+            return _Found(outlook=outlook, x=x, hold=hold)
+        offset = self._rest_gaps.of_planes(self.planes)
+        self._own.keep_unseen(search, self.planes, offset, old.depth, self._of)
+        self._edges.keep_unseen(search, self.planes, old.depth)
+        self._note_overlap(state)
+        values = self._replace_planes(search, old, outlook)
+        return _Found(outlook=outlook, x=search.x, hold=hold, values=values)
 
     @property
     def active(self) -> Ints:
@@ -415,8 +462,10 @@ class BodyContact:
                 searched.setdefault(other, []).append(body)
         for other in sorted(k for k in searched if k < 0):
             bodies = searched.pop(other)
-            self._search_obstacle(search, bodies, -1 - other, now, frame, min(hold, span))
-        self._search_bodies(search, searched, now.nodes[0], now.offset)
+            self._pair_search.obstacle(
+                search, bodies, -1 - other, now, self.planes, self._gap, frame, min(hold, span)
+            )
+        self._pair_search.bodies(search, searched, now, self.planes, self._gap)
         if self.contact.points:
             self._edges.offer(search)
             outlook.v[len(self._X) :] = self._edges.v
@@ -497,61 +546,6 @@ class BodyContact:
         """[m/s^2] bound of the acceleration by gravity and fields."""
         s = self._body.settings
         return float(np.linalg.norm(s.gravity)) + s.pushes
-
-    def _search_bodies(
-        self, search: ContactSearch, searched: Mapping[int, Sequence[int]], nodes: Floats,
-        offset: Floats,
-    ) -> None:  # fmt: skip
-        """Offer planes of the surfaces of bodies to samples of those that are near each of them.
-
-        All at once: every surface is posed and its tree is refitted only once.
-        """
-        asked = [
-            search.candidates(
-                np.concatenate([self.members[k] for k in searched[other]]),
-                search.x[self.members[other]],
-            )
-            for other in sorted(searched)
-        ]
-        if not sum(map(len, asked)):
-            return
-        rows, others = np.concatenate(asked), np.repeat(sorted(searched), list(map(len, asked)))
-        meets = self._overlaps.apart(rows, others)
-        rows, others = rows[meets], others[meets]
-        # A sample that was inside this body at the last detection still is.  One that newly seems
-        # to be inside may be behind a fold, and the winding number decides.
-        gap, faced = self._gap[rows], self.planes.partner[rows]
-        was = (gap < 0.0) & (faced >= 0) & (self._of[faced] == others)
-        known = np.where(was, gap - EASE * self._spacing, 0.0)
-        found, rest = self._skins.near(
-            rows, search.x[rows], known, others, nodes, offset, search.reach
-        )
-        mine, theirs = rows[found.rows], others[found.rows]
-        point = found.point + self._rest_gaps.from_bodies(mine, theirs)[:, None] * found.normal
-        search.offer_places(mine, found.gap, found.normal, point, theirs, rest)
-
-    def _search_obstacle(
-        self, search: ContactSearch, bodies: Sequence[int], which: int, now: StateView,
-        frame: float, span: float,
-    ) -> None:  # fmt: skip
-        """Offer planes of one obstacle to samples of `bodies`, and theirs to its edges."""
-        rows = np.concatenate([self.members[k] for k in bodies])
-        sunk = self._rest_gaps.from_obstacle(which)
-        plane = self._obstacles[which].planes(search.x[rows], search.reach, frame, span, rows)
-        found, mine = plane.seen, rows[plane.seen.rows]
-        point = found.point + sunk[mine, None] * found.normal
-        search.offer(mine, found.gap, found.normal, point, velocity=plane.velocity, obstacle=which)
-        near = mine[found.gap < ABOUT * self._spacing]
-        if not self.contact.points:
-            return
-        self._edges.search(
-            search, which,
-            {body: near[self._of[near] == body] for body in np.unique(self._of[near]).tolist()},
-            lambda body: partial(
-                self._skins[body].near, u=now.nodes[0], offset=now.offset, reach=search.reach
-            ),
-            self.planes, self._gap, frame, span / self._body.settings.frame_time,
-        )  # fmt: skip
 
     def _upload(
         self,

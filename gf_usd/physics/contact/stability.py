@@ -22,8 +22,8 @@ import numpy as np
 from scipy import sparse
 
 from gf_usd.core.arrays import Floats, Ints, cross, gather, row_dots
+from gf_usd.physics.contact.detection.narrow_phase import CLOSER, TRAVEL
 from gf_usd.physics.contact.floor import FloorContact
-from gf_usd.physics.contact.narrow_phase import CLOSER, TRAVEL
 from gf_usd.physics.contact.planes.contact_planes import ContactPlanes
 from gf_usd.physics.contact.planes.support_triangles import turn
 from gf_usd.physics.contact.self_contact.patch_tables import CHANGE

@@ -21,7 +21,7 @@ from __future__ import annotations
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints, cross
-from gf_usd.physics.contact.narrow_phase import TRAVEL
+from gf_usd.physics.contact.detection.narrow_phase import TRAVEL
 from gf_usd.physics.contact.planes.continuity import EASE
 from gf_usd.physics.contact.planes.support_triangles import turn
 from gf_usd.physics.grid.bodies import bodies_of, fastest

@@ -28,8 +28,8 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints, cross
 from gf_usd.core.stage import ContactSetup
+from gf_usd.physics.contact.detection.narrow_phase import FACING, TRAVEL
 from gf_usd.physics.contact.floor import HARD, FloorContact, damping_coefficient
-from gf_usd.physics.contact.narrow_phase import FACING, TRAVEL
 from gf_usd.physics.contact.obstacles.obstacle import Obstacle, obstacles
 from gf_usd.physics.contact.planes.contact_planes import ContactPlanes, along
 from gf_usd.physics.contact.planes.continuity import EASE, EnergyBudget, Stored, continued

@@ -7,46 +7,13 @@ sample faces, and `stability` the substeps that all these springs take together.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from gf_usd.core.arrays import Floats
 from gf_usd.physics.contact.pairs import BodyContact
-from gf_usd.physics.contact.planes.contact_planes import ContactPlanes
-from gf_usd.physics.contact.stability import CROWD, PairSprings
+from gf_usd.physics.contact.stability import CROWD
 from gf_usd.physics.frame_loop import Solver
 from gf_usd.physics.time_step import StableStep
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-from gf_usd.physics.total_lagrangian.state import State, StateView
-
-
-class _Probe(BodyContact):
-    """Contact of a body whose detections reach no kernel."""
-
-    ratio = 1.0
-
-    def _upload(
-        self,
-        state: State,
-        now: StateView,
-        values: Mapping[str, Floats],
-        dt: float,
-        f: ContactPlanes,
-    ) -> None:
-        del state, dt, f
-        x, v = self._joined(now, self._detected)
-        of, faced = self.planes.bodies(self._of), self.planes.partner
-        faces = self.planes.facing
-        others = (self.planes.obstacle[faces] >= 0) | (of[faces] != self._of[faced[faces]])
-        springs = PairSprings(
-            planes=self.planes.only(faces[others]), k=self._k, values=values,
-            hardening=self._hardening, spacing=self._spacing, x=x, v=np.zeros_like(v), span=0.0,
-            fall=0.0, calm=np.zeros(len(x), bool), nearly=np.inf,
-        )  # fmt: skip
-        body = self._body
-        none = np.zeros(0, np.int64)
-        self.ratio = springs.step_ratio(body, self.contact, none, body.step.dt, np.inf)
 
 
 def contact_factors(solver: Solver) -> tuple[float, float]:
@@ -61,9 +28,11 @@ def contact_factors(solver: Solver) -> tuple[float, float]:
     assert contact is not None
     crowded = step.crowded(CROWD * contact.pair_ratio)
     most = step.substeps_with_contact(step.dt, crowded.contact_share)
-    probe = _Probe(solver.body)
-    probe.detect(solver.state, 1, step.dt, 0, solver.coarse)
-    return min(probe.ratio, most), most
+    springs = BodyContact(solver.body).faced_springs(solver.state, solver.coarse * step.dt)
+    if springs is None:
+        return min(1.0, most), most
+    none = np.zeros(0, np.int64)
+    return min(springs.step_ratio(solver.body, contact, none, step.dt, np.inf), most), most
 
 
 def step_of(solver: Solver) -> StableStep | None:

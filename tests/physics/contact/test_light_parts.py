@@ -22,6 +22,7 @@ from solids import (
 from gf_usd.core.asset import Surface
 from gf_usd.core.frames import Settings
 from gf_usd.core.materials.dimensionless import FILTER_RATE, G0, time_scale
+from gf_usd.physics.contact.detection.narrow_phase import pair_values
 from gf_usd.physics.contact.floor import (
     LIGHT,
     STIFF,
@@ -31,7 +32,6 @@ from gf_usd.physics.contact.floor import (
     largest_eigenvalue,
     layers_moved,
 )
-from gf_usd.physics.contact.narrow_phase import pair_values
 from gf_usd.physics.contact.planes.contact_planes import nothing
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.physics.updated_lagrangian.setup import floor_contact

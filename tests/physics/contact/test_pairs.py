@@ -10,6 +10,7 @@ from contact_scenes import contact_solver, half_space
 from solids import cube
 from two_legs import legs
 
+from gf_usd.physics.contact.pairs import BodyContact
 from gf_usd.physics.contact.planes import layout
 from gf_usd.physics.contact.planes.contact_planes import OBSTACLE
 from gf_usd.physics.contact.planes.intervals import LATE, REPEATS, Lateness, until_stopped
@@ -43,6 +44,27 @@ def test_what_is_inside_something_else_is_not_held_to_be_inside_its_own_body():
     under = contact.samples.X[:, 1] < 1e-9
     assert (faces.obstacle[under] == 0).all()
     assert pairs.totals(solver.state)[2] < 0.11 * s
+
+
+@pytest.mark.slow
+def test_faced_springs_are_those_to_other_bodies_and_obstacles():
+    """Not those of a body to itself, which its legs squeezed together have."""
+    solver = contact_solver(
+        legs(GAP), particles=400, self_contact=True, colliders=(half_space(),), frames=2
+    )
+    s = solver.particles.spacing
+    put(solver, 0.1 * s)
+    contact = BodyContact(solver.body)
+    springs = contact.faced_springs(solver.state, solver.dt)
+    assert springs is not None
+    facing = springs.planes.facing
+    assert 0 < len(facing) < len(contact.planes.facing)
+    assert (springs.planes.obstacle[facing] == 0).all()
+    assert np.array_equal(springs.touching[0], facing), "all count as in contact"
+    put(solver, 10.0 * s)
+    springs = BodyContact(solver.body).faced_springs(solver.state, solver.dt)
+    assert springs is not None
+    assert len(springs.planes.facing) == 0
 
 
 def test_a_frame_that_blows_up_ends_at_once_and_without_a_warning(monkeypatch):

@@ -11,7 +11,7 @@ from contact_scenes import contact_solver, half_space
 from solids import cube, sphere
 
 from gf_usd.core.arrays import Floats
-from gf_usd.physics.contact.pairs import BodyContact
+from gf_usd.physics.contact.detection.pair_search import PairSearch
 from gf_usd.physics.contact.planes.contact_planes import nothing
 from gf_usd.physics.contact.planes.persistence import APPROACH, DEFORMED, Outlook, Persistence
 from gf_usd.physics.contact.stability import PairSprings
@@ -48,14 +48,14 @@ class Run:
 
 
 def settled() -> Run:
-    run, search = Run(stack()), BodyContact._search_bodies
+    run, search = Run(stack()), PairSearch.bodies
 
     def counted(self, offered: Any, searched: dict[int, list[int]], *more: Any) -> None:
         run.searches += len(searched)
         search(self, offered, searched, *more)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(BodyContact, "_search_bodies", counted)
+        patch.setattr(PairSearch, "bodies", counted)
         for frame in run.solver.frames():
             if frame.index == 40:
                 run.searches = 0

@@ -12,7 +12,7 @@ from two_legs import SPACING, legs, sampled
 
 from gf_usd.core.stage import Skin
 from gf_usd.geometry.sampling.contact_samples import sample_surface
-from gf_usd.physics.contact.narrow_phase import ContactSearch
+from gf_usd.physics.contact.detection.narrow_phase import ContactSearch
 from gf_usd.physics.contact.planes.persistence import Outlook
 from gf_usd.physics.contact.self_contact.bodies import OwnContacts
 from gf_usd.physics.contact.self_contact.search import FACE, OFFSET, SelfContact

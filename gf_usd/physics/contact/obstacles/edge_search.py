@@ -16,8 +16,8 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints, corners, lengths, row_dots
 from gf_usd.core.neighbors import kd_tree
+from gf_usd.physics.contact.detection.narrow_phase import PosedSkin
 from gf_usd.physics.contact.distance.closest import Closest
-from gf_usd.physics.contact.narrow_phase import PosedSkin
 from gf_usd.physics.contact.obstacles.obstacle import Obstacle
 from gf_usd.physics.contact.obstacles.piercing import FAR
 from gf_usd.physics.contact.obstacles.sharp import SharpFeatures, SharpPoints, known_values

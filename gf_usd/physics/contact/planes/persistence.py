@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints, Segments, gather, lengths, row_dots
-from gf_usd.physics.contact.broad_phase import Boxes
+from gf_usd.physics.contact.detection.broad_phase import Boxes
 from gf_usd.physics.contact.planes.contact_planes import ContactPlanes
 
 CREEP = 0.02  # [spacings] largest motion of a sample along a kept plane that it touches

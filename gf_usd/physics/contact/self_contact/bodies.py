@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints, lengths
-from gf_usd.physics.contact.narrow_phase import ContactSearch
+from gf_usd.physics.contact.detection.narrow_phase import ContactSearch
 from gf_usd.physics.contact.planes.contact_planes import NOBODY, ContactPlanes
 from gf_usd.physics.contact.planes.persistence import Outlook
 from gf_usd.physics.contact.self_contact.search import CLEAR, FACE, SelfContact

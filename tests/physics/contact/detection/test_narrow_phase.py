@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.physics.contact.narrow_phase import CLOSER, TRAVEL, ContactSearch
+from gf_usd.physics.contact.detection.narrow_phase import CLOSER, TRAVEL, ContactSearch
 from gf_usd.physics.contact.planes.contact_planes import NOBODY, OBSTACLE
 
 UP = np.array([[0.0, 0.0, 1.0]])

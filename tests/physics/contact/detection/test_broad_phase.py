@@ -7,7 +7,7 @@ import pytest
 from two_legs import SPACING, legs, sampled
 
 from gf_usd.core.stage import ContactSetup
-from gf_usd.physics.contact.broad_phase import Boxes, schedule
+from gf_usd.physics.contact.detection.broad_phase import Boxes, schedule
 from gf_usd.physics.contact.obstacles.obstacle import box_gap
 from gf_usd.physics.contact.self_contact.patch_tables import FOLDS, NEIGHBORS
 from gf_usd.physics.contact.self_contact.patches import Patches, closing
@@ -226,7 +226,7 @@ def test_a_sample_without_a_normal_is_treated_as_its_neighbors_are():
 @pytest.mark.parametrize("block", [1, 70, 100_000])
 @pytest.mark.parametrize("resting", [False, True])
 def test_bodies_are_scheduled_as_pair_by_pair(resting: bool, block: int, monkeypatch):
-    monkeypatch.setattr("gf_usd.physics.contact.broad_phase.BLOCK", block)
+    monkeypatch.setattr("gf_usd.physics.contact.detection.broad_phase.BLOCK", block)
     random = np.random.default_rng(1)
     middle, size = 6.0 * random.random((20, 3)), 0.3 + random.random((20, 3))
     low, high = middle - size, middle + size
