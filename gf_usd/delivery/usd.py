@@ -26,7 +26,7 @@ from gf_usd.readers.notes import Notes
 from gf_usd.readers.pictures.extent import is_ever_visible, sample_times
 from gf_usd.readers.pictures.recording import select_variant, world_points
 from gf_usd.readers.usd.mesh import has_surface
-from gf_usd.readers.usd.skeleton import Skins
+from gf_usd.readers.usd.skeleton.skins import Skins
 from gf_usd.readers.usd.splats import is_captured
 from gf_usd.readers.usd.stage import is_bake_scope, open_stage, reading
 from gf_usd.system.atomic_files import same_place

@@ -44,7 +44,7 @@ def without_props(asset: Asset, solid: Solid, file: Path, spacing: float) -> Ass
 
     spacing : [m] approximate spacing of the particles.
     """
-    from gf_usd.readers.usd.bones import lone_skeleton, skeletons
+    from gf_usd.readers.usd.skeleton.bones import lone_skeleton, skeletons
     from gf_usd.readers.usd_bake.caches import animated_meshes, has_animated_points
 
     paths, unmoved = [s.path for s in asset.surfaces], "no skeleton poses it"
@@ -153,7 +153,7 @@ def characters_of(asset: Asset, file: Path) -> tuple[dict[str, str], tuple[str, 
     Empty where there are fewer than two.  A surface without a skeleton, such as a prop, belongs to
     the character with the longest common path; among several, to the nearest.
     """
-    from gf_usd.readers.usd.bones import skeletons
+    from gf_usd.readers.usd.skeleton.bones import skeletons
 
     posed_by = skeletons(file, [s.path for s in asset.surfaces], asset.facts)
     found = {path: root for path, (_, root) in posed_by.items()}

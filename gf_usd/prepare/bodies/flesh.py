@@ -41,7 +41,7 @@ def read_animation(asset: Asset, file: Path, start: float | None) -> Animation:
     Where no skeleton poses any of it, that of its points, or else of the only skeleton of the
     stage.  Raises InputError where there is none, and for a broken skeleton.
     """
-    from gf_usd.readers.usd.bones import (
+    from gf_usd.readers.usd.skeleton.bones import (
         animation_range,
         has_skeleton,
         lone_skeleton,
@@ -277,7 +277,7 @@ def _read_bones(
     are found with them.  The cores, else None; the poses; notes.
     """
     from gf_usd.geometry.flesh.medial import medial_skeleton
-    from gf_usd.readers.usd.bones import read_skeleton
+    from gf_usd.readers.usd.skeleton.bones import read_skeleton
     from gf_usd.readers.usd_bake.caches import read_cache
 
     paths = [s.path for s in asset.surfaces]

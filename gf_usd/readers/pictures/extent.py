@@ -15,7 +15,7 @@ from gf_usd.core.scene import Bounds, to_frame
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.pictures.prims import baked_bodies
 from gf_usd.readers.usd.implicit import IMPLICIT, tessellate
-from gf_usd.readers.usd.skeleton import Skins
+from gf_usd.readers.usd.skeleton.skins import Skins
 from gf_usd.readers.usd.stage import SPLAT_TYPE, Placement, SkippedPrim, is_bake_particles
 
 SAMPLED_TIMES = 48  # maximal number of evenly spaced times for the boxes of a motion

@@ -36,7 +36,7 @@ from gf_usd.readers.pictures.values import MEASURES, authored_attributes
 from gf_usd.readers.usd.implicit import IMPLICIT, tessellate
 from gf_usd.readers.usd.mesh import Reading, has_surface, read_surface
 from gf_usd.readers.usd.shading import ShadingReader
-from gf_usd.readers.usd.skeleton import Skins
+from gf_usd.readers.usd.skeleton.skins import Skins
 from gf_usd.readers.usd.stage import (
     FOR_BAKES,
     SPLAT_TYPE,

@@ -55,7 +55,7 @@ from gf_usd.readers.pictures.recording import VARIANTS, displays_in, shown_varia
 from gf_usd.readers.pictures.values import Values
 from gf_usd.readers.usd.mesh import Reading, has_surface, read_surface
 from gf_usd.readers.usd.shading import ShadingReader
-from gf_usd.readers.usd.skeleton import Skins
+from gf_usd.readers.usd.skeleton.skins import Skins
 from gf_usd.readers.usd.stage import (
     FOR_BAKES,
     SPLAT_TYPE,

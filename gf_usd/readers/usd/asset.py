@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from functools import cache, partial
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -31,26 +30,19 @@ from gf_usd.readers.usd.select import (
     shapes_under,
 )
 from gf_usd.readers.usd.shading import ShadingReader
-from gf_usd.readers.usd.skeleton import Skins
+from gf_usd.readers.usd.skeleton.skins import Skins
 from gf_usd.readers.usd.splats import is_captured, read_captured
 from gf_usd.readers.usd.stage import (
     SkippedPrim,
     baked_asset,
-    composition_errors,
     open_stage,
     reading,
     require_saved,
     stage_facts,
 )
-from gf_usd.readers.usd_physics.attributes import body_of, is_collider, role
+from gf_usd.readers.usd.variants import note_other_variants
+from gf_usd.readers.usd_physics.attributes import body_of, is_collider, stands
 
-MOST_VARIANTS = 16  # that are compared with those selected
-FACES = ("faceVertexCounts", "faceVertexIndices")
-# fields of a prim that can add other prims or take them away
-COMPOSING = (
-    "active", "references", "payload", "inheritPaths", "specializes", "variantSetNames",
-    "variantSelection",
-)  # fmt: skip
 CACHE = ".cache."  # before the suffix in the names of caches of bakes
 MOST_NAMED = 3  # prims that a note lists
 INSTANCE = "is an instance: it becomes an ordinary prim in the bake because its content moves"
@@ -94,9 +86,9 @@ def read_usd(
             for prim in found.geometry
             if prim.IsA(UsdGeom.Mesh)
             and str(prim.GetPath()) in filled
-            and not _stands(prim, time, prims)
+            and not stands(prim, time, prims)
         ]
-        _note_other_variants(stage, found, baked, time, notes, prims)
+        note_other_variants(stage, found, baked, time, notes, prims)
         return Asset(
             facts=replace(facts, notes=notes.lines()),
             surfaces=tuple(surfaces),
@@ -206,21 +198,13 @@ def _surfaces(
         except SkippedPrim as reason:
             skipped[str(prim.GetPath())] = str(reason)
         else:
-            if _stands(prim, time, named):
+            if stands(prim, time, named):
                 for text in (ANIMATED, POSED):
                     notes.drop(text, str(prim.GetPath()))
                 continue
             for instance in instances_above(prim):
                 notes.add(INSTANCE, str(instance.GetPath()))
     return surfaces, splats, skipped
-
-
-def _stands(prim: Usd.Prim, time: Usd.TimeCode, named: Sequence[str]) -> bool:
-    """Whether a prim is an obstacle, which follows its animation, and stays an instance."""
-    if role(prim, time) not in ("static", "kinematic") or str(prim.GetPath()) in named:
-        return False
-    above = (prim.GetStage().GetPrimAtPath(path) for path in prim.GetPath().GetPrefixes())
-    return not any(one.GetAttribute("gaussianFlesh:enabled").Get(time) for one in above)
 
 
 def _note_passed_through(
@@ -248,156 +232,6 @@ def _note_passed_through(
         f" {'it' if one else 'them'}; a PhysicsCollisionAPI makes a shape an obstacle, and --prim"
         " makes it soft"
     )
-
-
-def _note_other_variants(
-    stage: Usd.Stage,
-    found: Selection,
-    baked: Sequence[Usd.Prim],
-    time: Usd.TimeCode,
-    notes: Notes,
-    named: Sequence[str],
-) -> None:
-    """Add a note on each variant set with variants whose meshes the baked points do not fit.
-
-    Levels of detail are such. At most MOST_VARIANTS variants are composed, and those of instances
-    of one prototype once.
-    """
-    roots = [root.GetPath() for root in found.roots]
-    above = dict.fromkeys(path for prim in baked for path in prim.GetPath().GetPrefixes())
-    known: dict[tuple[Sdf.Path, str], _Variants] = {}
-    left = MOST_VARIANTS
-    before = cache(partial(composition_errors, stage))  # a walk over all prims
-    for path in above:
-        prim = stage.GetPrimAtPath(path)
-        for name in prim.GetVariantSets().GetNames():
-            key = (_shared_path(prim), name)
-            if key not in known:
-                others = _with_meshes(prim, name)
-                within = [root for root in roots if root.HasPrefix(path)] or [path]
-                below = [one for one in baked if one.GetPath().HasPrefix(path)]
-                mine = _meshes(stage, within, time, named) if others[:left] else set()
-                unlike, broken = [], {}
-                for variant in others[:left]:
-                    other = _with_variant(stage, prim, name, variant, within)
-                    errors = composition_errors(other)
-                    fault = next((e for e in errors if e not in before()), "")
-                    if fault:
-                        broken[variant] = fault
-                    elif (
-                        _has_other_faces(below, other, time)
-                        or _meshes(other, within, time, named) - mine
-                    ):
-                        unlike.append(variant)
-                known[key] = _Variants(unlike=unlike, broken=broken, uncompared=len(others[left:]))
-                left -= len(others[:left])
-            if known[key].any:
-                notes.add(_variants_text(prim, name, known[key]), str(path))
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Variants:
-    """The other variants of a set that a note names."""
-
-    unlike: Sequence[str]  # that the baked points do not fit
-    broken: Mapping[str, str]  # the error of each that does not compose
-    uncompared: int
-
-    @property
-    def any(self) -> bool:
-        return bool(self.unlike or self.broken or self.uncompared)
-
-
-def _shared_path(prim: Usd.Prim) -> Sdf.Path:
-    """The path of a prim, or that in its prototype, which instances share."""
-    if prim.IsInstance():
-        return prim.GetPrototype().GetPath()
-    return (prim.GetPrimInPrototype() if prim.IsInstanceProxy() else prim).GetPath()
-
-
-def _variants_text(prim: Usd.Prim, name: str, others: _Variants) -> str:
-    """The note on variants that the baked points do not fit, and on those not compared."""
-    unlike, uncompared = others.unlike, others.uncompared
-    one = prim.GetVariantSets().GetVariantSet(name)
-    chosen = one.GetVariantSelection()
-    if chosen not in one.GetVariantNames():
-        chosen = "no variant"
-    text = f"of its variant set {name}, {chosen} is baked"
-    if unlike:
-        text += (
-            f", and the motion does not fit {', '.join(unlike)}, with other meshes or faces: for"
-            f" {'it' if len(unlike) == 1 else 'each'}, bake a layer that selects it"
-        )
-    for variant, error in others.broken.items():
-        text += f"; {variant} does not compose and was not compared: {error}"
-    if uncompared:
-        text += (
-            f"; {counted(uncompared, 'other variant')} {'was' if uncompared == 1 else 'were'} not"
-            f" compared, and the motion may not fit {'it' if uncompared == 1 else 'them'}"
-        )
-    return text
-
-
-def _with_meshes(prim: Usd.Prim, name: str) -> list[str]:
-    """The variants of a set, besides that selected, which may have other meshes or faces."""
-    chosen = prim.GetVariantSets().GetVariantSelection(name)
-    sets = [spec.variantSets[name] for spec in prim.GetPrimStack() if name in spec.variantSets]
-    return [
-        variant
-        for variant in prim.GetVariantSets().GetVariantSet(name).GetVariantNames()
-        if variant != chosen
-        and any(
-            variant in one.variants and _may_change_meshes(one.variants[variant].primSpec)
-            for one in sets
-        )
-    ]
-
-
-def _may_change_meshes(spec: Sdf.PrimSpec) -> bool:
-    """Whether the opinions of a spec, or one below it, can add, show or change a mesh."""
-    return (
-        spec.typeName == "Mesh"
-        or (spec.specifier == Sdf.SpecifierDef and not spec.typeName)  # may define a mesh's over
-        or any(spec.HasInfo(key) for key in COMPOSING)
-        or any(name in spec.properties for name in (*FACES, "visibility", "purpose"))
-        or any(_may_change_meshes(child) for child in spec.nameChildren)
-    )
-
-
-def _with_variant(
-    stage: Usd.Stage, prim: Usd.Prim, name: str, variant: str, within: Sequence[Sdf.Path]
-) -> Usd.Stage:
-    """The prims `within` of the stage with a variant."""
-    session = Sdf.Layer.CreateAnonymous(".usda")
-    session.TransferContent(stage.GetSessionLayer())
-    for instance in instances_above(prim):
-        Sdf.CreatePrimInLayer(session, instance.GetPath()).SetInfo("instanceable", False)
-    Sdf.CreatePrimInLayer(session, prim.GetPath()).variantSelections[name] = variant
-    mask = Usd.StagePopulationMask(list(within))
-    return Usd.Stage.OpenMasked(stage.GetRootLayer(), session, mask)
-
-
-def _has_other_faces(baked: Sequence[Usd.Prim], other: Usd.Stage, time: Usd.TimeCode) -> bool:
-    """Whether a baked mesh has other faces in another stage; one that is not there has not."""
-    for prim in baked:
-        twin = other.GetPrimAtPath(prim.GetPath())
-        if not (twin and twin.IsA(UsdGeom.Mesh)):
-            continue
-        for name in FACES:
-            if prim.GetAttribute(name).Get(time) != twin.GetAttribute(name).Get(time):
-                return True
-    return False
-
-
-def _meshes(
-    stage: Usd.Stage, roots: Sequence[Sdf.Path], time: Usd.TimeCode, named: Sequence[str]
-) -> set[Sdf.Path]:
-    """Paths of the meshes under the roots that a bake of the stage would move."""
-    return {
-        prim.GetPath()
-        for prim in shapes_under(stage, roots, time)
-        if prim.IsA(UsdGeom.Mesh) and not _stands(prim, time, named)
-    }
 
 
 def _no_geometry(

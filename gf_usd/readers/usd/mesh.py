@@ -21,7 +21,7 @@ from gf_usd.readers.notes import ANIMATED, Notes
 from gf_usd.readers.usd.implicit import IMPLICIT, SIZES, tessellate
 from gf_usd.readers.usd.primvars import Corners
 from gf_usd.readers.usd.shading import ShadingReader, colors
-from gf_usd.readers.usd.skeleton import Skins
+from gf_usd.readers.usd.skeleton.skins import Skins
 from gf_usd.readers.usd.solids.points import cover, widths
 from gf_usd.readers.usd.solids.poses import BrokenPose, bound_points
 from gf_usd.readers.usd.solids.tets import BrokenTets, Tets, surface_of

@@ -1,8 +1,8 @@
 """Animated points of meshes, such as those of a simulation cache, at each frame.
 
 Times before the first frame are a pre-roll from the first pose, at rest, into the motion, as for
-skeletons (`readers.usd.bones`): x = x_0 + n s (x_1 - x_0), with n the frames by which the motion is
-extrapolated backward, and s from 0 to 1.
+skeletons (`readers.usd.skeleton.joint_motion`): x = x_0 + n s (x_1 - x_0), with n the frames by
+which the motion is extrapolated backward, and s from 0 to 1.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import StageFacts
 from gf_usd.core.errors import InputError
 from gf_usd.core.units import code_text
-from gf_usd.readers.usd.bones import lead_in
 from gf_usd.readers.usd.mesh import posed_points
 from gf_usd.readers.usd.select import named_prim
-from gf_usd.readers.usd.skeleton import has_influences, unposed
+from gf_usd.readers.usd.skeleton.joint_motion import lead_in
+from gf_usd.readers.usd.skeleton.skins import has_influences, unposed
 from gf_usd.readers.usd.stage import open_stage, reading
 from gf_usd.readers.usd_physics.motion import bare_reading
 

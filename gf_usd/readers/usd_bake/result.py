@@ -20,7 +20,7 @@ from gf_usd.core.units import StageUnits
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.pictures.extent import frame_times
 from gf_usd.readers.pictures.recording import VARIANTS, select_variant, variants_of, world_points
-from gf_usd.readers.usd.skeleton import Skins
+from gf_usd.readers.usd.skeleton.skins import Skins
 from gf_usd.readers.usd.solids.tets import boundary
 from gf_usd.readers.usd.stage import (
     SPLAT_TYPE,

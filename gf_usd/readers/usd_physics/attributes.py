@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -170,3 +170,14 @@ def role(prim: Usd.Prim, time: Usd.TimeCode) -> str:
         switch(body, BODIES[api][1], time, otherwise=False) for api in apis(body) & BODIES.keys()
     )
     return "kinematic" if follows else "dynamic"
+
+
+def stands(prim: Usd.Prim, time: Usd.TimeCode, named: Sequence[str]) -> bool:
+    """Whether a prim is an obstacle, which follows its animation, and stays an instance.
+
+    named : prim paths of --prim, which are no obstacles.
+    """
+    if role(prim, time) not in ("static", "kinematic") or str(prim.GetPath()) in named:
+        return False
+    above = (prim.GetStage().GetPrimAtPath(path) for path in prim.GetPath().GetPrefixes())
+    return not any(one.GetAttribute("gaussianFlesh:enabled").Get(time) for one in above)

@@ -14,7 +14,7 @@ from gf_usd.core.errors import InputError
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.usd.mesh import Reading, posed_points
 from gf_usd.readers.usd.shading import BoundShading, ShadingReader
-from gf_usd.readers.usd.skeleton import Skins
+from gf_usd.readers.usd.skeleton.skins import Skins
 from gf_usd.readers.usd.splats import is_captured
 
 # Attributes that define the shape of a prim in local space.

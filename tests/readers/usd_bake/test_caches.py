@@ -11,7 +11,7 @@ from small_bakes import BLOCK
 
 from gf_usd.core.errors import InputError
 from gf_usd.readers import read_asset
-from gf_usd.readers.usd.bones import has_skeleton
+from gf_usd.readers.usd.skeleton.bones import has_skeleton
 from gf_usd.readers.usd_bake.caches import cache_range, read_cache
 
 SKIN = ["/Arm/Skin"]

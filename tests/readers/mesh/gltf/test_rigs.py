@@ -14,7 +14,7 @@ from pxr import Usd, UsdGeom, UsdSkel
 
 from gf_usd.core.errors import InputError
 from gf_usd.readers import convert, read_asset
-from gf_usd.readers.usd.bones import read_skeleton
+from gf_usd.readers.usd.skeleton.bones import read_skeleton
 
 CLOSE = 1e-5  # of an arm of 2 m: UsdSkel has float32, and scales in half precision
 

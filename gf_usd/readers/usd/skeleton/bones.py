@@ -16,17 +16,11 @@ Points without joint weights, such as captured Gaussians, follow the nearest seg
 skeleton of the stage, by weights w_j ~ (d_j + e)^-4 with d_j the distance to those of joint j and e
 a share of the skeleton's size.  The segment of a leaf joint continues that of its parent, with the
 same length and direction.
-
-Times before the first frame are a pre-roll from the bind pose into the animation.  The transform
-of each joint, relative to the next ancestor with skinned points, is interpolated from the bind pose
-to an extrapolation of the animation, separately in rotation, stretch and translation, with weights
-s = 3 r^2 - 2 r^3.  Position and velocity are continuous at the first frame.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -34,15 +28,15 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Usd, UsdGeom, UsdSkel
 
-from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import StageFacts
 from gf_usd.core.errors import InputError
-from gf_usd.core.matrices import signed_polar
 from gf_usd.core.stage import Bone, Skeleton
-from gf_usd.core.units import code_text
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.usd.select import named_prim
-from gf_usd.readers.usd.skeleton import Skins
+from gf_usd.readers.usd.skeleton.joint_motion import joint_motion, skeleton_world, skeleton_worlds
+from gf_usd.readers.usd.skeleton.rig import Rig, read_rig
+from gf_usd.readers.usd.skeleton.skins import Skins
 from gf_usd.readers.usd.stage import open_stage, reading
 
 if TYPE_CHECKING:
@@ -50,25 +44,9 @@ if TYPE_CHECKING:
 
 INTO_FLESH = 1.5  # length of a segment toward the mean of a joint's points, over their distance
 AWAY = 0.5  # of a joint's longest segment: a mean farther from all of them gets its own segment
-MEMORY = 4.0  # [frames] by which the pre-roll extrapolates the animation backward
 SHORT = 1e-6  # of the skeleton's size: a shorter segment is a point
 SOFT = 0.01  # of the skeleton's size: e of the weights of points without joint weights
 LEAST = 0.02  # smaller ones of these weights are dropped
-
-
-@dataclass(frozen=True, kw_only=True)
-class Rig:
-    """A skeleton and the points skinned to it."""
-
-    path: str  # prim path of the Skeleton
-    prim: Usd.Prim
-    query: UsdSkel.SkeletonQuery
-    joints: tuple[str, ...]
-    parents: Ints  # (J,) -1: a root
-    bind: Floats  # (J, 4, 4) skeleton space, row vectors, aligned: see `Skins.alignment`
-    points: list[Floats] = field(default_factory=list)  # (V, 3) [m] bind pose, world
-    owner: list[Ints] = field(default_factory=list)  # (V,) joint of the largest weight
-    weights: dict[str, Floats] = field(default_factory=dict)  # (V, J) of each mesh, by path
 
 
 def animation_range(
@@ -197,14 +175,14 @@ def _rigs(
         skeleton, skin = found
         where = str(skeleton.GetPath())
         if where not in rigs:
-            rigs[where] = _rig(skeleton, skins.query(skeleton), facts)
+            rigs[where] = read_rig(skeleton, skins.query(skeleton), facts)
             rigs[where].bind[:] = rigs[where].bind @ skins.alignment(skeleton)
         _add_flesh(rigs[where], prim, skin, skins, facts)
     if rigs:
         return list(rigs.values())
     lone = skins.lone(stage) if loose else None
     if loose and lone:
-        rig = _rig(lone, skins.query(lone), facts)
+        rig = read_rig(lone, skins.query(lone), facts)
         for path, points in loose.items():
             _add_loose(rig, path, points, facts, first)
         return [rig]
@@ -214,37 +192,6 @@ def _rigs(
         "bind the mesh to a Skeleton under a SkelRoot (UsdSkel), with joint indices and weights, or"
         " bake it without --flesh",
     )
-
-
-def _rig(skeleton: Usd.Prim, query: UsdSkel.SkeletonQuery, facts: StageFacts) -> Rig:
-    where = f"{facts.path}: --flesh: <{skeleton.GetPath()}>"
-    hint = "repair the skeleton in the program that made it, or bake without --flesh"
-    if not query:
-        raise InputError(f"{where} is no valid skeleton", hint)
-    topology = query.GetTopology()
-    valid, reason = topology.Validate()
-    if not valid:
-        raise InputError(f"{where} has joints in an invalid order: {reason}", hint)
-    joints = tuple(str(name) for name in query.GetJointOrder())
-    given = query.GetJointWorldBindTransforms() if query.HasBindPose() else None
-    if not joints or given is None or len(given) != len(joints):
-        raise InputError(
-            f"{where} has {len(joints)} joints but not a bind transform for each of them",
-            "author bindTransforms, one matrix for each joint; they define the rest shape",
-        )
-    bind = np.array(given, dtype=np.float64).reshape(-1, 4, 4)
-    finite = np.where(np.isfinite(bind).all((1, 2), keepdims=True), bind, 0.0)
-    flat = np.abs(np.linalg.det(finite[:, :3, :3])) <= 1e-12
-    if flat.any():
-        raise InputError(
-            f"{where}: the bind transforms of {int(flat.sum())} of {len(joints)} joints cannot "
-            f"be inverted; the first is {joints[int(flat.argmax())]}",
-            hint,
-        )
-    return Rig(
-        path=str(skeleton.GetPath()), prim=skeleton, query=query, joints=joints,
-        parents=np.array([topology.GetParent(j) for j in range(len(joints))]), bind=bind,
-    )  # fmt: skip
 
 
 def _add_flesh(
@@ -281,7 +228,7 @@ def _add_flesh(
 
 def _add_loose(rig: Rig, path: str, points: Floats, facts: StageFacts, first: float) -> None:
     """Add world points (V, 3) [m], with weights of the nearest bones."""
-    at = _through(rig.bind[:, 3, :3], _world(rig, first, facts)) * facts.units.length
+    at = _through(rig.bind[:, 3, :3], skeleton_world(rig, first, facts)) * facts.units.length
     size = float(np.linalg.norm(np.ptp(np.concatenate([at, points]), axis=0)))
     away = np.empty((len(points), len(at)))
     for j, start in enumerate(at):
@@ -309,12 +256,12 @@ def _to_segment(points: Floats, start: Floats, end: Floats) -> NDArray[np.float6
 def _bones(rig: Rig, facts: StageFacts, first: float, times: Floats) -> dict[int, Bone]:
     """One bone per joint with a weight, without segments where no point has its largest there."""
     unit = facts.units.length
-    rest = _world(rig, first, facts)
+    rest = skeleton_world(rig, first, facts)
     at = _through(rig.bind[:, 3, :3], rest) * unit
     flesh, owner = np.concatenate(rig.points), np.concatenate(rig.owner)
     size = float(np.linalg.norm(np.ptp(np.concatenate([at, flesh]), axis=0)))
-    motion = _motion(rig, facts, first, times)  # (F, J, 4, 4)
-    worlds = _worlds(rig, facts, first, times)  # (F, 4, 4)
+    motion = joint_motion(rig, facts, first, times)  # (F, J, 4, 4)
+    worlds = skeleton_worlds(rig, facts, first, times)  # (F, 4, 4)
     corners = 0.25 * size * np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
     weighted = np.any([w.any(0) for w in rig.weights.values()], axis=0)
     out = {}
@@ -402,141 +349,3 @@ def _distance(point: Floats, start: Floats, ends: Sequence[Floats]) -> float:
 
 def _through(points: Floats, matrix: Floats) -> Floats:
     return np.asarray(points @ matrix[:3, :3] + matrix[3, :3])
-
-
-def _world(rig: Rig, code: float, facts: StageFacts) -> NDArray[np.float64]:
-    """(4, 4) local-to-world transform of the skeleton at a time code, stage units."""
-    matrix = UsdGeom.Xformable(rig.prim).ComputeLocalToWorldTransform(Usd.TimeCode(code))
-    rows = np.array(matrix, dtype=np.float64)
-    if not np.isfinite(rows).all() or abs(np.linalg.det(rows[:3, :3])) == 0.0:
-        raise InputError(
-            f"{facts.path}: --flesh: the transform of <{rig.path}> cannot be inverted at time "
-            f"code {code_text(code)}",
-            "repair the animation of the skeleton, or of a prim above it",
-        )
-    return rows
-
-
-def _posed(rig: Rig, code: float, facts: StageFacts) -> NDArray[np.float64]:
-    """(J, 4, 4) transforms of the joints in the skeleton's space at a time code."""
-    found = rig.query.ComputeJointSkelTransforms(Usd.TimeCode(code))
-    rows = np.array(found if found is not None else [], dtype=np.float64).reshape(-1, 4, 4)
-    bad = ~np.isfinite(rows).all((1, 2))
-    if len(rows) != len(rig.joints) or bad.any():
-        what = (
-            f"has {len(rows)} transforms for {len(rig.joints)} joints"
-            if len(rows) != len(rig.joints)
-            else f"moves joint {rig.joints[int(bad.argmax())]} to a position that is not finite"
-        )
-        raise InputError(
-            f"{facts.path}: --flesh: the animation of <{rig.path}> {what} at time code"
-            f" {code_text(code)}",
-            "repair the animation (SkelAnimation), or author restTransforms, one for each joint",
-        )
-    return rows
-
-
-def _carriers(rig: Rig) -> Ints:
-    """(J,) the nearest ancestor of each joint with skinned points; -1: none."""
-    flesh = np.zeros(len(rig.joints), bool)
-    flesh[np.unique(np.concatenate(rig.owner))] = True
-    out = np.full(len(rig.joints), -1)
-    for j, parent in enumerate(rig.parents):  # parents come first in a valid order
-        if parent >= 0:
-            out[j] = parent if flesh[parent] else out[parent]
-    return out
-
-
-def _relative(above: Ints, matrices: Floats) -> NDArray[np.float64]:
-    """(J, 4, 4) transforms relative to the joints `above`, from those in the skeleton's space."""
-    base = np.where((above >= 0)[:, None, None], matrices[np.maximum(above, 0)], np.eye(4))
-    return np.asarray(matrices @ np.linalg.inv(base))
-
-
-def _joined(above: Ints, relative: Floats) -> NDArray[np.float64]:
-    """The inverse of `_relative`."""
-    out = np.array(relative, float)
-    for j, parent in enumerate(above):
-        if parent >= 0:
-            out[j] = out[j] @ out[parent]
-    return out
-
-
-def _motion(rig: Rig, facts: StageFacts, first: float, times: Floats) -> NDArray[np.float64]:
-    """(F, J, 4, 4) transforms of the joints in the skeleton's space."""
-    out = [_posed(rig, code, facts) for code in times if code >= first]
-    before = times[times < first]
-    if not len(before):
-        return np.stack(out)
-    above = _carriers(rig)
-    step = float(times[1] - times[0]) if len(times) > 1 else 1.0
-    rest, start, after = (
-        _Parts.of(_relative(above, M))
-        for M in (rig.bind, _posed(rig, first, facts), _posed(rig, first + step, facts))
-    )
-    lead = [
-        _joined(above, rest.toward(start.toward(after, back), s).matrices)
-        for s, back in lead_in(before, first, step)
-    ]
-    return np.stack([*lead, *out])
-
-
-def _worlds(rig: Rig, facts: StageFacts, first: float, times: Floats) -> NDArray[np.float64]:
-    """(F, 4, 4) local-to-world of the skeleton."""
-    rest = _world(rig, first, facts)
-    before = times[times < first]
-    step = float(times[1] - times[0]) if len(times) > 1 else 1.0
-    change = _world(rig, first + step, facts) - rest if len(before) else 0.0
-    lead = [rest + back * s * change for s, back in lead_in(before, first, step)]
-    return np.stack([*lead, *(_world(rig, code, facts) for code in times if code >= first)])
-
-
-def lead_in(before: Floats, first: float, step: float) -> list[tuple[float, float]]:
-    """(s, frames) of each time before the first frame.
-
-    s is the weight of the animation, and `frames` how far it is extrapolated backward, with slope
-    1 at the first frame.
-
-    before : (B,) time codes; first : of the first frame; step : of one frame, in time codes.
-    """
-    out = []
-    for code in before:
-        r = (code - before[0]) / (first - before[0])
-        frames = MEMORY * (np.exp((code - first) / (step * MEMORY)) - 1.0)
-        out.append((3.0 * r**2 - 2.0 * r**3, float(frames)))
-    return out
-
-
-@dataclass(frozen=True)
-class _Parts:
-    """Transforms x -> R S x + t of joints, decomposed."""
-
-    rotation: Floats  # (J, 3, 3)
-    stretch: Floats  # (J, 3, 3)
-    translation: Floats  # (J, 3)
-
-    @classmethod
-    def of(cls, matrices: Floats) -> _Parts:
-        """Polar decomposition of matrices (J, 4, 4) for row vectors."""
-        A = np.swapaxes(matrices[:, :3, :3], 1, 2)
-        R = signed_polar(A)
-        return cls(R, np.swapaxes(R, 1, 2) @ A, matrices[:, 3, :3])
-
-    def toward(self, other: _Parts, s: float) -> _Parts:
-        """Interpolation to other transforms by a fraction s; extrapolation for s < 0."""
-        from scipy.spatial.transform import Rotation
-
-        turn = Rotation.from_matrix(np.swapaxes(self.rotation, 1, 2) @ other.rotation).as_rotvec()
-        return _Parts(
-            self.rotation @ Rotation.from_rotvec(s * turn).as_matrix(),
-            (1.0 - s) * self.stretch + s * other.stretch,
-            (1.0 - s) * self.translation + s * other.translation,
-        )
-
-    @property
-    def matrices(self) -> NDArray[np.float64]:
-        """(J, 4, 4) for row vectors."""
-        out = np.broadcast_to(np.eye(4), (len(self.rotation), 4, 4)).copy()
-        out[:, :3, :3] = np.swapaxes(self.rotation @ self.stretch, 1, 2)
-        out[:, 3, :3] = self.translation
-        return out

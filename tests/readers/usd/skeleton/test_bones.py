@@ -13,7 +13,7 @@ from gf_usd.core.errors import InputError
 from gf_usd.core.stage import Bone
 from gf_usd.physics.grid.pins import Motion
 from gf_usd.readers import read_asset
-from gf_usd.readers.usd.bones import (
+from gf_usd.readers.usd.skeleton.bones import (
     _direction,
     animation_range,
     has_skeleton,
@@ -100,25 +100,6 @@ def test_the_rest_shape_is_the_bind_pose_where_the_top_joint_is(tmp_path: Path) 
     surface = read_asset(path, bind_pose=True).surfaces[0]
     assert surface.skinned
     np.testing.assert_allclose(surface.points, points() + (0.0, 0.3, 0.0), atol=EPS)
-
-
-def test_the_preroll_begins_at_rest_and_joins_the_animation_smoothly(tmp_path: Path) -> None:
-    lead = 24
-    path = write(tmp_path, arm(lift=(0.0, 0.6)))
-    times = FIRST + np.arange(-lead, 4.0)
-    posed = bones_of(path, [FIRST])
-    for bone, first in zip(bones_of(path, times.tolist()), posed):
-        x = bone.path
-        np.testing.assert_array_equal(x[lead], first.path[0])
-        np.testing.assert_array_equal(x[0], bone.anchors)
-        v = np.diff(x, axis=0)
-        # ease in: 3 r^2 of the way, a sixty-fourth of the mean speed in the first frame at most
-        way = np.abs(np.diff(x, axis=0)).sum(0).max()
-        assert np.abs(v[0]).max() <= 4.0 / lead**2 * way + 1e-6
-        # no jump in velocity: the change over the seam is one of acceleration, as before it
-        jump = np.abs(v[lead] - v[lead - 1]).max()
-        usual = np.abs(np.diff(v[: lead - 1], axis=0)).max()
-        assert jump <= 1.5 * usual + 1e-6
 
 
 def test_the_range_is_that_of_the_stage_or_of_the_samples(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from physics_stages import BOX, head
 from pxr import Sdf, Usd
 
 from gf_usd.readers import read_asset
-from gf_usd.readers.usd import asset as reader
+from gf_usd.readers.usd import variants as reader
 from gf_usd.readers.usd.stage import composition_errors
 
 # a cube with its top divided in two triangles
@@ -173,7 +173,7 @@ def test_a_variant_that_does_not_compose_is_named(tmp_path: Path) -> None:
 def test_looks_are_not_compared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Many variants before a level of detail exhausted the limit."""
     looks = ["", 'over "Geo" {\n' + RED + "\n}", 'def Scope "Looks" {\ndef Material "Red" {\n}\n}']
-    monkeypatch.setattr("gf_usd.readers.usd.asset.MOST_VARIANTS", 1)
+    monkeypatch.setattr("gf_usd.readers.usd.variants.MOST_VARIANTS", 1)
     (note,) = found(stage(tmp_path, geo(BOX), *looks, geo(FINE)))
     assert "does not fit v4, with" in note
     assert "compared" not in note
@@ -189,7 +189,7 @@ def test_looks_are_not_compared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 def test_variants_that_are_not_compared_are_counted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit: int, text: str
 ) -> None:
-    monkeypatch.setattr("gf_usd.readers.usd.asset.MOST_VARIANTS", limit)
+    monkeypatch.setattr("gf_usd.readers.usd.variants.MOST_VARIANTS", limit)
     (note,) = found(stage(tmp_path, geo(BOX), geo(FINE), geo(FINE)))
     assert text in note
 

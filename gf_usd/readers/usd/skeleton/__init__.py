@@ -1,0 +1,1 @@
+"""Skeletons of UsdSkel: meshes posed by them, and their bones and motion for `--flesh`."""
