@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from gf_usd.core.arrays import Ints
 from gf_usd.core.errors import UsageError, naming
-from gf_usd.prepare.bodies.characters import characters_of
+from gf_usd.prepare.bodies.flesh.characters import characters_of
 from gf_usd.prepare.bodies.sampling import SampledBodies, count_notes, sample_bodies, spacing_of
 from gf_usd.prepare.fill.inputs import PARTICLES, SAMPLES, THICKNESS, Inputs, resolution_of
 from gf_usd.prepare.settings import DEFAULT_PARTICLES

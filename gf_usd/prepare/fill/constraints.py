@@ -9,7 +9,7 @@ from gf_usd.core.errors import InputError, counted
 from gf_usd.core.frames import Settings, sampled, written
 from gf_usd.core.stage import Goals, Pin
 from gf_usd.prepare.bodies.contact import LimbPlan
-from gf_usd.prepare.bodies.flesh import Flesh, flesh_of
+from gf_usd.prepare.bodies.flesh.flesh import Flesh, flesh_of
 from gf_usd.prepare.bodies.sampling import SampledBodies
 from gf_usd.prepare.fill.bodies import FilledBodies
 from gf_usd.prepare.fill.inputs import Inputs

@@ -18,7 +18,6 @@ from gf_usd.core.arrays import triple
 from gf_usd.core.asset import Asset, Surface
 from gf_usd.core.frames import Choices, Settings
 from gf_usd.core.stage import Pin, StageSpec, Triple
-from gf_usd.prepare.bodies.characters import without_props, worn_meshes
 from gf_usd.prepare.bodies.coarse import cage_notes, coarse_note
 from gf_usd.prepare.bodies.contact import (
     LimbPlan,
@@ -28,7 +27,9 @@ from gf_usd.prepare.bodies.contact import (
     separate_limbs,
 )
 from gf_usd.prepare.bodies.facing import turned_to_bodies
-from gf_usd.prepare.bodies.flesh import Poses, read_animation
+from gf_usd.prepare.bodies.flesh.animation import read_animation
+from gf_usd.prepare.bodies.flesh.characters import without_props, worn_meshes
+from gf_usd.prepare.bodies.flesh.poses import Poses
 from gf_usd.prepare.bodies.flow import flow_of
 from gf_usd.prepare.bodies.grounds import (
     floor_notes,

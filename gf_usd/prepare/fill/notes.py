@@ -18,7 +18,7 @@ MOST_NAMED = 3  # prims that each have a note of their own for the same reason
 
 def not_baked_notes(skipped: Iterable[tuple[str, str]]) -> tuple[str, ...]:
     """The notes on prims that are not baked, each with a reason of the reader."""
-    from gf_usd.prepare.bodies.characters import GROUND, OWN, PROP, SHEET
+    from gf_usd.prepare.bodies.flesh.characters import GROUND, OWN, PROP, SHEET
     from gf_usd.prepare.bodies.grounds import ROOM, SCENERY, WALL
     from gf_usd.readers.usd.select import KINDS, PROXY, REPEATED
 

@@ -12,7 +12,7 @@ from gf_usd.core.asset import Asset, Surface
 from gf_usd.core.frames import Settings, sampled
 from gf_usd.core.stage import Pin, StagePhysics, Triple
 from gf_usd.core.units import length_text, rounded_text
-from gf_usd.prepare.bodies.flesh import read_animation
+from gf_usd.prepare.bodies.flesh.animation import read_animation
 from gf_usd.prepare.bodies.sampling import SampledBodies
 from gf_usd.prepare.fill.inputs import Inputs
 from gf_usd.prepare.options.choices import own_space_notes, require_resolved

@@ -10,7 +10,7 @@ from arm import arm, write
 
 from gf_usd.core.arrays import Floats
 from gf_usd.geometry.solid import build_solid
-from gf_usd.prepare.bodies.characters import GROUND, OWN, PROP, SHEET, without_props
+from gf_usd.prepare.bodies.flesh.characters import GROUND, OWN, PROP, SHEET, without_props
 from gf_usd.readers import read_asset
 
 QUAD = np.array([(-1.0, 0.0, -1.0), (-1.0, 0.0, 1.0), (1.0, 0.0, 1.0), (1.0, 0.0, -1.0)])

@@ -7,7 +7,7 @@ import pytest
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.stage import Bone, Skeleton
-from gf_usd.prepare.bodies.jumps import jump_notes
+from gf_usd.prepare.bodies.flesh.jumps import jump_notes
 
 FRAMES, LEAD = 40, 10
 TIMES = np.arange(FRAMES) + 1001.0 - LEAD
