@@ -40,6 +40,13 @@ def skinned(weights: csr_matrix, linear: Floats, offset: Floats, X: Floats) -> N
     linear, offset : A (bones, d, 3) and b (bones, d) [m] at one frame; d is 3, or 1 for the
         coordinate along one direction, of which A and b are the projections on that.
     """
+    return skinned_with_gradients(weights, linear, offset, X)[0]
+
+
+def skinned_with_gradients(
+    weights: csr_matrix, linear: Floats, offset: Floats, X: Floats
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """`skinned`, and sum_j w_j A_j (n, d, 3): the gradients for weights that are constant."""
     d = linear.shape[1]
     A = (weights @ linear.reshape(-1, 3 * d)).reshape(-1, d, 3)
-    return np.asarray(np.einsum("nab,nb->na", A, X) + weights @ offset)
+    return np.asarray(np.einsum("nab,nb->na", A, X) + weights @ offset), A

@@ -29,7 +29,8 @@ from gf_usd.core.asset import Surface
 from gf_usd.core.frames import Pose
 from gf_usd.core.mesh import areas
 from gf_usd.core.stage import Skeleton
-from gf_usd.geometry.flesh.goals import affine, on_skin
+from gf_usd.geometry.flesh.goals import on_skin
+from gf_usd.geometry.flesh.linear_blend import bone_transforms, skinned_with_gradients
 from gf_usd.geometry.flesh.single_joint import single_joint_meshes
 from gf_usd.geometry.solid import Solid, spread_evenly
 
@@ -47,14 +48,13 @@ class Skinning:
 
     X: Floats  # (n, 3) [m] at rest
     weights: csr_matrix  # (n, bones) rows sum to 1
-    linear: Floats  # (F, bones, 3, 3) as in `affine`
+    linear: Floats  # (F, bones, 3, 3) as in `bone_transforms`
     offset: Floats  # (F, bones, 3) [m]
 
     def at(self, frame: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Positions (n, 3) [m] and gradients (n, 3, 3) at a frame, of the first or last at most."""
         k = int(np.clip(frame, 0, len(self.linear) - 1))
-        A = (self.weights @ self.linear[k].reshape(-1, 9)).reshape(-1, 3, 3)
-        return np.einsum("nab,nb->na", A, self.X) + self.weights @ self.offset[k], A
+        return skinned_with_gradients(self.weights, self.linear[k], self.offset[k], self.X)
 
     def rate(self, frame: int, frame_time: float) -> NDArray[np.float64]:
         """(n, 3) [m/s] by central differences of frames that are `frame_time` [s] apart."""
@@ -96,7 +96,7 @@ def skinned_sheets(
     if not rows or not found:
         return {}
     flesh = solid.part(np.array(rows))
-    linear, offset = affine(skeleton)
+    linear, offset = bone_transforms(skeleton)
     reach = REACH * float(np.linalg.norm(flesh.high - flesh.low))
     out = {}
     for surface in found:

@@ -84,7 +84,7 @@ def worn_meshes(
     spacing : [m] approximate spacing of the particles; animation : reads that of the asset.
     """
     from gf_usd.geometry.flesh.sheets import garments, thin_sheets
-    from gf_usd.readers.usd.bones import read_skeleton, skeletons
+    from gf_usd.readers.usd.skeleton.bones import read_skeleton, skeletons
 
     paths = [s.path for s in asset.surfaces]
     posed = skeletons(file, paths, asset.facts) if len(solid.surfaces) > 1 else {}
