@@ -10,7 +10,8 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.physics.contact.floor import DRIFT, GIVEN_ROW, HEIGHT, WORK, move_springs
 from gf_usd.physics.total_lagrangian.limits import CLEARANCE, FALL
-from gf_usd.physics.total_lagrangian.setup import Body, floor_height
+from gf_usd.physics.total_lagrangian.setup.body import Body
+from gf_usd.physics.total_lagrangian.setup.contact import floor_height
 from gf_usd.physics.total_lagrangian.state import State, StateView
 
 SURPLUS = 1.25  # ratio of evaluated to needed samples at which the set is rebuilt

@@ -65,7 +65,8 @@ from gf_usd.physics.contact.self_contact.bodies import OwnContacts
 from gf_usd.physics.contact.self_contact.search import AHEAD, NEARLY, SelfContact
 from gf_usd.physics.contact.stability import CALM, PairSprings
 from gf_usd.physics.grid.bodies import bodies_of
-from gf_usd.physics.total_lagrangian.setup import Body, floor_height
+from gf_usd.physics.total_lagrangian.setup.body import Body
+from gf_usd.physics.total_lagrangian.setup.contact import floor_height
 from gf_usd.physics.total_lagrangian.state import State, StateView
 
 # Of its gap, that a sample may slide in addition to TRAVEL: at CLOSER / TRAVEL times the speeds it

@@ -31,7 +31,7 @@ from gf_usd.physics.contact.self_contact.search import AHEAD, NEARLY
 from gf_usd.physics.grid import spectrum
 from gf_usd.physics.grid.mass import NodalMass
 from gf_usd.physics.time_step import StableStep
-from gf_usd.physics.total_lagrangian.setup import Body
+from gf_usd.physics.total_lagrangian.setup.body import Body
 
 ACCURACY = 0.05  # relative error bound of an eigenvalue, which is added
 COLUMN = 4.0  # mass stopped by one sample in contact, in masses of a sample

@@ -9,7 +9,7 @@ from gf_usd.core.frames import Health
 from gf_usd.physics import taichi_arrays
 from gf_usd.physics.laws.registry import ParticleLaws
 from gf_usd.physics.total_lagrangian import layout
-from gf_usd.physics.total_lagrangian.setup import Body
+from gf_usd.physics.total_lagrangian.setup.body import Body
 from gf_usd.physics.total_lagrangian.state import State, StateView
 
 

@@ -23,7 +23,7 @@ import numpy as np
 from gf_usd.core.errors import GfUsdError
 from gf_usd.physics.taichi_arrays import DeviceState, Launcher
 from gf_usd.physics.total_lagrangian.layout import LANES
-from gf_usd.physics.total_lagrangian.setup import Body
+from gf_usd.physics.total_lagrangian.setup.body import Body
 from gf_usd.physics.total_lagrangian.stages import BLOCK, CLOSES, OPENS, STUCK
 from gf_usd.physics.total_lagrangian.state import State
 from gf_usd.system.background import running_threads

@@ -41,7 +41,7 @@ from gf_usd.physics.time_step import (
     wave_speed,
 )
 from gf_usd.physics.total_lagrangian.energies import kinetic_energies
-from gf_usd.physics.total_lagrangian.setup import Body
+from gf_usd.physics.total_lagrangian.setup.body import Body
 from gf_usd.physics.total_lagrangian.shape_correction import is_active
 from gf_usd.physics.total_lagrangian.state import State, StateView
 

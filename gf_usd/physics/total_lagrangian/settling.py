@@ -52,7 +52,7 @@ from gf_usd.physics.grid.bodies import bodies_of, node_sums
 from gf_usd.physics.taichi_arrays import host_view
 from gf_usd.physics.total_lagrangian.energies import kinetic_energies
 from gf_usd.physics.total_lagrangian.rest_and_flight import presses
-from gf_usd.physics.total_lagrangian.setup import Body
+from gf_usd.physics.total_lagrangian.setup.body import Body
 from gf_usd.physics.total_lagrangian.state import State
 
 CALM = 1e-2  # [m g0 r] energy of a bounce by a hundredth of the radius

@@ -29,7 +29,7 @@ from gf_usd.core.errors import UsageError
 from gf_usd.core.frames import Settings
 from gf_usd.core.neighbors import nearest, operator, slopes
 from gf_usd.physics.total_lagrangian.energies import stored_energy
-from gf_usd.physics.total_lagrangian.setup import Body
+from gf_usd.physics.total_lagrangian.setup.body import Body
 from gf_usd.physics.total_lagrangian.state import State, StateView
 
 CLOSE = 1e-6  # of the largest stretch; the error of `strains` is about 1e-8 of it

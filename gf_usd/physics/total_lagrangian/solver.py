@@ -33,7 +33,8 @@ from gf_usd.physics.total_lagrangian.launch import Launches
 from gf_usd.physics.total_lagrangian.limits import limited_particles
 from gf_usd.physics.total_lagrangian.rest_and_flight import Fallen, Shortcuts, strained_substeps
 from gf_usd.physics.total_lagrangian.settling import Settling
-from gf_usd.physics.total_lagrangian.setup import Body, build_body
+from gf_usd.physics.total_lagrangian.setup.body import Body
+from gf_usd.physics.total_lagrangian.setup.build import build_body
 from gf_usd.physics.total_lagrangian.shape_correction import ShapeCorrection
 from gf_usd.physics.total_lagrangian.state import State
 

@@ -24,7 +24,9 @@ from gf_usd.physics.laws.registry import GRADIENT, take_dissipated
 from gf_usd.physics.taichi_arrays import DeviceState, host_view
 from gf_usd.physics.total_lagrangian import layout
 from gf_usd.physics.total_lagrangian.layout import ANCHOR, PIN_RATE, PIN_WORK
-from gf_usd.physics.total_lagrangian.setup import Body, arrays, viscosities
+from gf_usd.physics.total_lagrangian.setup.arrays import arrays
+from gf_usd.physics.total_lagrangian.setup.body import Body
+from gf_usd.physics.total_lagrangian.setup.values import viscosities
 
 Given = tuple[Floats, ...]
 

@@ -31,7 +31,7 @@ from gf_usd.core.materials.material import Material
 from gf_usd.core.materials.per_particle import after_conversion, of_materials, with_derived
 from gf_usd.physics.contact.floor import FloorContact
 from gf_usd.physics.laws.registry import GRADIENT, particle_laws
-from gf_usd.physics.total_lagrangian.setup import viscosities
+from gf_usd.physics.total_lagrangian.setup.values import viscosities
 from gf_usd.physics.updated_lagrangian.setup import Body
 from gf_usd.physics.updated_lagrangian.state import State
 

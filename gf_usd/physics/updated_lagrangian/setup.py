@@ -19,13 +19,10 @@ from gf_usd.physics.grid.bodies import fastest
 from gf_usd.physics.grid.reference import CHUNK, Stencil, build_stencil
 from gf_usd.physics.laws.registry import ParticleLaws, convergence, particle_laws
 from gf_usd.physics.time_step import StableStep
-from gf_usd.physics.total_lagrangian.setup import (
-    CELL_PER_LATTICE,
-    largest_step,
-    per_particle,
-    surface_contact,
-    viscosities,
-)
+from gf_usd.physics.total_lagrangian.setup.build import CELL_PER_LATTICE
+from gf_usd.physics.total_lagrangian.setup.contact import surface_contact
+from gf_usd.physics.total_lagrangian.setup.rates import largest_step
+from gf_usd.physics.total_lagrangian.setup.values import per_particle, viscosities
 from gf_usd.physics.total_lagrangian.stages import QUEUE
 from gf_usd.physics.updated_lagrangian.embedded_points import (
     SUPPORT,

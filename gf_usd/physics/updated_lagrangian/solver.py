@@ -30,7 +30,7 @@ from gf_usd.physics.frame_loop import FrameStats, Guard, Solver
 from gf_usd.physics.taichi_arrays import Launcher
 from gf_usd.physics.time_step import per_cell, strained_step, substeps_of
 from gf_usd.physics.total_lagrangian.launch import GUESS, ends_of, fitting, require_resident
-from gf_usd.physics.total_lagrangian.setup import floor_height
+from gf_usd.physics.total_lagrangian.setup.contact import floor_height
 from gf_usd.physics.total_lagrangian.stages import BLOCK
 from gf_usd.physics.updated_lagrangian.conversion import Conversions
 from gf_usd.physics.updated_lagrangian.energies import (

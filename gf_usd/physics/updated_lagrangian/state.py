@@ -14,7 +14,7 @@ from gf_usd.physics.contact.floor import move_springs, spring_energy
 from gf_usd.physics.frame_loop import first_not_finite
 from gf_usd.physics.laws.registry import GRADIENT, take_dissipated
 from gf_usd.physics.taichi_arrays import DeviceState
-from gf_usd.physics.total_lagrangian.setup import floor_height
+from gf_usd.physics.total_lagrangian.setup.contact import floor_height
 from gf_usd.physics.updated_lagrangian.setup import Body, arrays, grid_arrays
 from gf_usd.physics.updated_lagrangian.walls import NOWHERE, Planes
 

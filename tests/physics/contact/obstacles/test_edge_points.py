@@ -15,7 +15,7 @@ from gf_usd.physics.contact.obstacles import edge_points
 from gf_usd.physics.contact.obstacles.edge_points import LEAST_CAPACITY, SHARE, capacity
 from gf_usd.physics.contact.obstacles.edge_search import EdgeContacts
 from gf_usd.physics.contact.planes.contact_planes import NOBODY, ContactPlanes, nothing
-from gf_usd.physics.total_lagrangian import setup
+from gf_usd.physics.total_lagrangian.setup import contact
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 
 GRAVITY = (0.0, -9.81, 0.0)
@@ -137,7 +137,7 @@ def test_a_saved_state_has_the_points() -> None:
 @pytest.mark.slow
 def test_points_beyond_the_capacity_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     """The deepest have a plane."""
-    monkeypatch.setattr(setup, "capacity", lambda *_: 2)
+    monkeypatch.setattr(contact, "capacity", lambda *_: 2)
     solver = contact_solver(
         slab(0.3, 0.5), colliders=(post(0.45, 0.2),), particles=600, material="jelly",
         frames=8, fps=24.0, gravity=GRAVITY, floor=None,

@@ -1,0 +1,1 @@
+"""The constant data of Total Lagrangian bodies, built from particles and materials."""
