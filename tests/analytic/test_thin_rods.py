@@ -10,7 +10,7 @@ from scipy.sparse.linalg import spsolve
 from solids import solid, sphere, surface
 
 from gf_usd.geometry.sampling.particles import sample_solid
-from gf_usd.physics.grid.reference import build_stencil
+from gf_usd.physics.grid.reference.build import build_stencil
 
 NU = 0.3
 LENGTH = 9.0  # [m] of the rods; cells have an edge of 1 m

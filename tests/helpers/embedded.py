@@ -5,7 +5,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats
 from gf_usd.core.frames import Pose
 from gf_usd.physics.grid.embedding import SplineRows, embedded_pose
-from gf_usd.physics.grid.reference import Rows
+from gf_usd.physics.grid.reference.stencil import Rows
 
 
 def pose(rows: Rows | SplineRows, u: Floats, v: Floats, offset: Floats) -> Pose:

@@ -11,7 +11,7 @@ from scipy.sparse.linalg import eigsh
 from solids import ball
 
 from gf_usd.physics.grid.dependent_nodes import FREE_MASS
-from gf_usd.physics.grid.reference import build_stencil
+from gf_usd.physics.grid.reference.build import build_stencil
 from gf_usd.physics.time_step import (
     CLOSE,
     GRID_FREQUENCY,

@@ -29,7 +29,7 @@ from gf_usd.geometry.sampling.particles import sample_solid
 from gf_usd.geometry.skinning import NEIGHBORS, SKINS, InverseDistance, Skin
 from gf_usd.geometry.solid import build_solid
 from gf_usd.physics.grid.embedding import embedded_pose
-from gf_usd.physics.grid.reference import build_stencil
+from gf_usd.physics.grid.reference.build import build_stencil
 from gf_usd.physics.total_lagrangian.setup.build import CELL_PER_LATTICE
 from gf_usd.readers import read_asset
 

@@ -28,7 +28,7 @@ from gf_usd.core.arrays import Floats, Ints, nonzero_rows
 from gf_usd.core.frames import SurfaceSamples
 from gf_usd.physics.grid import spectrum
 from gf_usd.physics.grid.mass import NodalMass, lumped_mass
-from gf_usd.physics.grid.reference import Rows, Stencil
+from gf_usd.physics.grid.reference.stencil import Rows, Stencil
 from gf_usd.physics.taichi_arrays import DeviceState, host_view
 from gf_usd.physics.time_step import StableStep
 

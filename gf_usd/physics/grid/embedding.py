@@ -28,12 +28,12 @@ from scipy import sparse
 from gf_usd.core.arrays import Floats, Ints, lengths
 from gf_usd.core.frames import Pose
 from gf_usd.core.matrices import cofactors, entries
-from gf_usd.physics.grid.reference import CHUNK, OFFSETS, Rows, renumbered, weights
+from gf_usd.physics.grid.reference.stencil import CHUNK, OFFSETS, Rows, renumbered, weights
 from gf_usd.physics.taichi_arrays import aligned, widened
 from gf_usd.system.taichi_runtime import ensure_running, resident_blocks, threads
 
 if TYPE_CHECKING:
-    from gf_usd.physics.grid.reference import Stencil
+    from gf_usd.physics.grid.reference.stencil import Stencil
 
 
 NODES = len(OFFSETS)

@@ -35,7 +35,7 @@ from scipy import sparse
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.physics.grid.embedding import kernel_supports
-from gf_usd.physics.grid.reference import CHUNK, Stencil, bspline
+from gf_usd.physics.grid.reference.stencil import CHUNK, Stencil, bspline
 from gf_usd.physics.grid.spectrum import ACCURACY, largest_eigenvalue
 from gf_usd.physics.taichi_arrays import widened
 from gf_usd.system.taichi_runtime import ensure_running

@@ -27,7 +27,7 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import InputError
 from gf_usd.core.stage import Pin
 from gf_usd.physics.grid.mass import cell_springs, links
-from gf_usd.physics.grid.reference import Stencil
+from gf_usd.physics.grid.reference.stencil import Stencil
 
 THIN = 1e-3  # of m h^2: least moment of inertia of a region
 # Layout of a region: displacement of the center, rotation (w, x, y, z) from the principal axes,

@@ -19,7 +19,7 @@ from scipy import sparse
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.physics.contact.floor import FLOOR_ROW, GIVEN_ROW, HEIGHT, NO_FLOOR, FloorContact
 from gf_usd.physics.grid.mass import NodalMass
-from gf_usd.physics.grid.reference import Stencil
+from gf_usd.physics.grid.reference.stencil import Stencil
 
 LANES = 8
 WINDOW = 4096  # cells sorted by particle count at a time, so that a group is local

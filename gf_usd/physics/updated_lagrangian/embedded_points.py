@@ -21,7 +21,7 @@ from scipy import sparse
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.frames import Pose
 from gf_usd.core.neighbors import kd_tree
-from gf_usd.physics.grid.reference import Rows
+from gf_usd.physics.grid.reference.stencil import Rows
 
 SUPPORT = 8  # particles from which a point is interpolated: about those of one cell
 

@@ -16,7 +16,8 @@ from gf_usd.core.materials.per_particle import stiffest_by_conversion
 from gf_usd.core.stage import ContactSetup, Pin
 from gf_usd.physics.contact.floor import FLOOR_ROW, FloorContact
 from gf_usd.physics.grid.bodies import fastest
-from gf_usd.physics.grid.reference import CHUNK, Stencil, build_stencil
+from gf_usd.physics.grid.reference.build import build_stencil
+from gf_usd.physics.grid.reference.stencil import CHUNK, Stencil
 from gf_usd.physics.laws.registry import ParticleLaws, convergence, particle_laws
 from gf_usd.physics.time_step import StableStep
 from gf_usd.physics.total_lagrangian.setup.build import CELL_PER_LATTICE

@@ -19,7 +19,7 @@ from gf_usd.geometry.sampling.particles import (
 )
 from gf_usd.geometry.sampling.rules import MANY
 from gf_usd.geometry.surface import nearest
-from gf_usd.physics.grid.reference import build_stencil
+from gf_usd.physics.grid.reference.build import build_stencil
 
 
 def sheared(body):

@@ -20,7 +20,7 @@ from gf_usd.physics.contact.floor import (
     plane_modulus,
     stiffness_per_mass,  # fmt: skip
 )
-from gf_usd.physics.grid.reference import build_stencil
+from gf_usd.physics.grid.reference.build import build_stencil
 
 
 def rebound(k: float, m: float, c: float, *, sticky: bool) -> float:

@@ -17,7 +17,7 @@ from gf_usd.geometry.sampling.particles import sample_solid
 from gf_usd.physics.grid.copies import SharedNodes
 from gf_usd.physics.grid.dependent_nodes import affine_fit
 from gf_usd.physics.grid.embedding import embedded_rows
-from gf_usd.physics.grid.reference import build_stencil
+from gf_usd.physics.grid.reference.build import build_stencil
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.verify.bodies import ball, block, comb, elastic, set_state, settings
 from gf_usd.verify.cases import limbs as case

@@ -18,7 +18,7 @@ from gf_usd.physics.grid.embedding import (
     particle_rows,
     stretches,
 )
-from gf_usd.physics.grid.reference import build_stencil
+from gf_usd.physics.grid.reference.build import build_stencil
 
 # Rows are sums of some hundred f64 terms whose affine fits carry 1e-11 at most (test_stencil.py).
 ROUNDING = 1e-10

@@ -17,7 +17,8 @@ from gf_usd.physics.grid.mass import (
     particle_springs,
 )
 from gf_usd.physics.grid.pins import PinConstraint
-from gf_usd.physics.grid.reference import OFFSETS, Stencil, build_stencil, weights
+from gf_usd.physics.grid.reference.build import build_stencil
+from gf_usd.physics.grid.reference.stencil import OFFSETS, Stencil, weights
 from gf_usd.physics.grid.spectrum import ACCURACY
 
 # Conjugate gradients end at 1e-13 of the right side; the matrix has a condition of about five.

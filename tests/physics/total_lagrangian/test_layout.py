@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from solids import ball
 
-from gf_usd.physics.grid.reference import build_stencil
+from gf_usd.physics.grid.reference.build import build_stencil
 from gf_usd.physics.total_lagrangian import layout
 
 

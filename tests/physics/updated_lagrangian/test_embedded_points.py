@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from solids import ball
 
-from gf_usd.physics.grid.reference import build_stencil
+from gf_usd.physics.grid.reference.build import build_stencil
 from gf_usd.physics.updated_lagrangian.embedded_points import SUPPORT, embed
 
 A = np.array([[1.10, 0.06, -0.03], [0.02, 0.62, 0.05], [-0.04, 0.33, 1.05]])

@@ -30,7 +30,7 @@ from gf_usd.physics.contact.planes.support_triangles import (
     choose_support_triangles,
 )
 from gf_usd.physics.grid.embedding import product
-from gf_usd.physics.grid.reference import Stencil
+from gf_usd.physics.grid.reference.stencil import Stencil
 
 FACING = 1.5  # [spacings] radius of the surface represented by a sample
 TRAVEL = 0.5  # [spacings] largest motion of samples between two detections

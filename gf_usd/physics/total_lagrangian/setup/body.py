@@ -20,7 +20,7 @@ from gf_usd.physics.grid.embedding import (
 from gf_usd.physics.grid.goals import NodeGoals
 from gf_usd.physics.grid.mass import NodalMass
 from gf_usd.physics.grid.pins import PinConstraint, PinnedPoints
-from gf_usd.physics.grid.reference import Stencil
+from gf_usd.physics.grid.reference.stencil import Stencil
 from gf_usd.physics.grid.rigid import RigidRegions
 from gf_usd.physics.laws.registry import MODULI, ParticleLaws, convergence
 from gf_usd.physics.time_step import StableStep

@@ -22,7 +22,8 @@ from gf_usd.physics.grid.embedding import (
 from gf_usd.physics.grid.goals import NodeGoals, NodeSprings
 from gf_usd.physics.grid.mass import NodalMass, consistent_mass, lumped_mass
 from gf_usd.physics.grid.pins import PinConstraint, PinnedPoints, surface_held
-from gf_usd.physics.grid.reference import Stencil, build_stencil
+from gf_usd.physics.grid.reference.build import build_stencil
+from gf_usd.physics.grid.reference.stencil import Stencil
 from gf_usd.physics.grid.rigid import rigid_regions
 from gf_usd.physics.laws.registry import particle_laws
 from gf_usd.physics.time_step import StableStep, wave_speed

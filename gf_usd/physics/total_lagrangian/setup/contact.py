@@ -21,7 +21,7 @@ from gf_usd.physics.contact.obstacles.edge_points import capacity
 from gf_usd.physics.grid.bodies import bodies_of
 from gf_usd.physics.grid.mass import NodalMass
 from gf_usd.physics.grid.pins import boundary_held
-from gf_usd.physics.grid.reference import Stencil
+from gf_usd.physics.grid.reference.stencil import Stencil
 
 PILE = 8.0  # number of bodies on top of one for which the contact stiffness is designed
 

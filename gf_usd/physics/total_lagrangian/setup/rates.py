@@ -18,7 +18,7 @@ from gf_usd.physics.grid.embedding import (
     stretches,
 )
 from gf_usd.physics.grid.mass import NodalMass
-from gf_usd.physics.grid.reference import Stencil
+from gf_usd.physics.grid.reference.stencil import Stencil
 from gf_usd.physics.grid.rigid import RigidRegions
 from gf_usd.physics.grid.spectrum import largest_eigenvalue
 from gf_usd.physics.time_step import StableStep, per_cell, stable_step

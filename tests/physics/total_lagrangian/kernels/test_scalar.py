@@ -12,7 +12,7 @@ from solids import ball, preset_material, settings
 
 from gf_usd.core.frames import CONSISTENT, LUMPED
 from gf_usd.core.materials.dimensionless import DIMENSIONLESS
-from gf_usd.physics.grid.reference import OFFSETS, weights
+from gf_usd.physics.grid.reference.stencil import OFFSETS, weights
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 
 # f64: the two sum some hundred terms in different orders, over a few dozen substeps of an impact.

@@ -7,13 +7,8 @@ import pytest
 from solids import ball
 
 from gf_usd.physics.grid.dependent_nodes import FREE_MASS, affine_fit, split_nodes
-from gf_usd.physics.grid.reference import (
-    OFFSETS,
-    Stencil,
-    base_node,
-    build_stencil,
-    weights,  # fmt: skip
-)
+from gf_usd.physics.grid.reference.build import build_stencil
+from gf_usd.physics.grid.reference.stencil import OFFSETS, Stencil, base_node, weights
 
 # Sums of 27 terms of order one in f64: 27 times 1.1e-16, with room for positions of order one.
 ROUNDING = 1e-14
