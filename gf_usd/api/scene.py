@@ -15,7 +15,7 @@ from gf_usd.core.asset import Surface
 from gf_usd.core.errors import UsageError, counted
 from gf_usd.core.materials.dimensionless import G0
 from gf_usd.core.materials.presets import find_preset
-from gf_usd.core.mesh import triangulate
+from gf_usd.core.mesh.triangulation import triangulate
 from gf_usd.core.stage import Collider, PhysicsMaterialSpec, Region, Triple
 from gf_usd.core.units import STRONGEST
 from gf_usd.prepare.options import values

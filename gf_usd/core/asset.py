@@ -30,7 +30,8 @@ from numpy.typing import NDArray
 from gf_usd.core.arrays import AXES, Floats, Ints
 from gf_usd.core.errors import InputError, counted
 from gf_usd.core.matrices import gaussian_axes
-from gf_usd.core.mesh import Welded, signed_volume, weld
+from gf_usd.core.mesh.measures import signed_volume
+from gf_usd.core.mesh.topology import Welded, weld
 from gf_usd.core.radiance import DEGREE, Y_0
 from gf_usd.core.units import StageUnits
 

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.mesh import signed_volume
+from gf_usd.core.mesh.measures import signed_volume
 from gf_usd.core.scene import MotionFrame, Recording
 from gf_usd.delivery.joints import kabsch
 

@@ -19,7 +19,8 @@ from scipy.sparse import coo_matrix
 from gf_usd.core.arrays import Floats, Ints, cross, lengths
 from gf_usd.core.asset import Surface
 from gf_usd.core.errors import counted
-from gf_usd.core.mesh import WELD_FRACTION, Edges, Welded, areas, first_equal, numbered
+from gf_usd.core.mesh.measures import areas
+from gf_usd.core.mesh.topology import WELD_FRACTION, Edges, Welded, first_equal, numbered
 from gf_usd.core.neighbors import components
 from gf_usd.core.units import percent_text, volume_text
 from gf_usd.geometry import winding

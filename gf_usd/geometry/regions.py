@@ -17,7 +17,8 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints, corners, cross
 from gf_usd.core.asset import Surface
 from gf_usd.core.errors import InputError, UsageError
-from gf_usd.core.mesh import areas, boundary_edges, weld
+from gf_usd.core.mesh.measures import areas
+from gf_usd.core.mesh.topology import boundary_edges, weld
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.core.stage import Pin, Region
 from gf_usd.geometry.solid import INSIDE, Solid

@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Asset, Surface
 from gf_usd.core.errors import counted
-from gf_usd.core.mesh import Edges, areas, proper, shells, triangulate
+from gf_usd.core.mesh.measures import areas
+from gf_usd.core.mesh.topology import Edges, proper, shells
+from gf_usd.core.mesh.triangulation import triangulate
 from gf_usd.core.units import length_text, percent_text
 from gf_usd.geometry import winding
 from gf_usd.geometry.diagnosis import (

@@ -19,7 +19,7 @@ from scipy.sparse import coo_matrix
 from gf_usd.core.arrays import Floats, Ints, cross
 from gf_usd.core.asset import Asset, Surface
 from gf_usd.core.errors import InputError
-from gf_usd.core.mesh import Welded, boundary_edges
+from gf_usd.core.mesh.topology import Welded, boundary_edges
 from gf_usd.core.neighbors import components
 from gf_usd.geometry.winding import winding_hierarchy
 

@@ -28,7 +28,8 @@ from scipy.spatial import cKDTree
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Asset, Splats, Surface
 from gf_usd.core.errors import InputError
-from gf_usd.core.mesh import proper, signed_volume, weld
+from gf_usd.core.mesh.measures import signed_volume
+from gf_usd.core.mesh.topology import proper, weld
 from gf_usd.core.radiance import srgb_to_linear
 from gf_usd.core.units import length_text, volume_text
 

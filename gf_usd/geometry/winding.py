@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 
 from gf_usd.core.arrays import Floats, Ints, columns, cross
-from gf_usd.core.mesh import Edges, areas, used_points
+from gf_usd.core.mesh.measures import areas
+from gf_usd.core.mesh.topology import Edges, used_points
 from gf_usd.core.neighbors import components
 
 Flags = NDArray[np.bool_]

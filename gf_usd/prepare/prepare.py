@@ -18,7 +18,7 @@ from gf_usd.core.materials.laws import check_law
 from gf_usd.core.materials.material import Material
 from gf_usd.core.materials.per_particle import unbounded
 from gf_usd.core.materials.presets import Fixed, find_preset
-from gf_usd.core.mesh import EDGE
+from gf_usd.core.mesh.subdivision import EDGE
 from gf_usd.core.stage import StageSpec
 from gf_usd.core.units import check_unit
 from gf_usd.prepare.advice import Auto

@@ -17,7 +17,7 @@ from gf_usd.core.frames import Particles, Settings, SurfaceSamples
 from gf_usd.core.materials.dimensionless import DIMENSIONLESS
 from gf_usd.core.materials.laws import LAWS
 from gf_usd.core.materials.material import Material
-from gf_usd.core.mesh import triangulate
+from gf_usd.core.mesh.triangulation import triangulate
 from gf_usd.core.stage import Pin
 from gf_usd.core.units import StageUnits
 from gf_usd.geometry.sampling.contact_samples import sample_surface

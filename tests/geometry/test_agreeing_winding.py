@@ -10,7 +10,7 @@ from pxr import Usd, UsdGeom
 from solids import CUBE_TRIANGLES, asset, cube, sphere, surface
 
 import gf_usd
-from gf_usd.core.mesh import signed_volume
+from gf_usd.core.mesh.measures import signed_volume
 from gf_usd.geometry.repair import consistently_oriented_asset
 from gf_usd.geometry.solid import build_solid
 

@@ -7,7 +7,7 @@ import pytest
 from solids import CUBE_POINTS, asset, cube, joined, surface, turned, volume
 
 from gf_usd.core.asset import Surface
-from gf_usd.core.mesh import triangulate
+from gf_usd.core.mesh.triangulation import triangulate
 from gf_usd.geometry.diagnosis import diagnose
 from gf_usd.geometry.repair import repair_surface
 from gf_usd.geometry.solid import build_solid

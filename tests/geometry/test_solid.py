@@ -10,7 +10,7 @@ import pytest
 from solids import CUBE_TRIANGLES, asset, cube, needle, solid, sphere, surface
 
 from gf_usd.core.errors import InputError
-from gf_usd.core.mesh import signed_volume
+from gf_usd.core.mesh.measures import signed_volume
 from gf_usd.geometry import solid as module
 from gf_usd.geometry.solid import OPEN_FRACTION, PROBES, build_solid, hole_fraction
 

@@ -13,7 +13,8 @@ from slow_parameters import longest_but
 
 from gf_usd.core.asset import Asset, Splats, StageFacts
 from gf_usd.core.errors import InputError
-from gf_usd.core.mesh import boundary_edges, shells, signed_volume
+from gf_usd.core.mesh.measures import signed_volume
+from gf_usd.core.mesh.topology import boundary_edges, shells
 from gf_usd.core.radiance import srgb_to_linear
 from gf_usd.core.units import StageUnits
 from gf_usd.geometry import splat_hull

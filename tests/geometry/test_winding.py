@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gf_usd.core.mesh import used_points
+from gf_usd.core.mesh.topology import used_points
 from gf_usd.geometry import winding
 
 CUBE = np.array(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), float).reshape(3, -1).T - 0.5

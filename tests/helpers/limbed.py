@@ -11,7 +11,7 @@ import numpy as np
 from pxr import Usd, UsdGeom, Vt
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.mesh import signed_volume
+from gf_usd.core.mesh.measures import signed_volume
 
 Distance = Callable[[Floats], Floats]  # (n, 3) [m] -> (n,) [m], below 0 inside
 Mesh = tuple[Floats, Ints]

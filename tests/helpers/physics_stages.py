@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from gf_usd.core.mesh import signed_volume
+from gf_usd.core.mesh.measures import signed_volume
 from gf_usd.core.stage import Collider, StagePhysics
 from gf_usd.readers import read_asset
 from gf_usd.readers.usd_physics.scene import read_physics

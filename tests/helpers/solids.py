@@ -16,7 +16,8 @@ from gf_usd.core.frames import (
 )
 from gf_usd.core.materials.dimensionless import DIMENSIONLESS
 from gf_usd.core.materials.material import Material
-from gf_usd.core.mesh import signed_volume, weld
+from gf_usd.core.mesh.measures import signed_volume
+from gf_usd.core.mesh.topology import weld
 from gf_usd.core.units import StageUnits
 from gf_usd.geometry.sampling.contact_samples import sample_surface
 from gf_usd.geometry.sampling.particles import sample_solid

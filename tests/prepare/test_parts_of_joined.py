@@ -13,7 +13,7 @@ from solids import CUBE_POINTS, CUBE_TRIANGLES, sphere
 
 import gf_usd
 from gf_usd.core.errors import InputError
-from gf_usd.core.mesh import weld
+from gf_usd.core.mesh.topology import weld
 from gf_usd.core.stage import BodyPhysics, StagePhysics, StageSpec
 from gf_usd.pipeline.prepared import prepare, solver_of
 from gf_usd.prepare.fill import neighbors

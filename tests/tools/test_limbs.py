@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 from pxr import Usd, UsdGeom
 
-from gf_usd.core.mesh import signed_volume, triangulate
+from gf_usd.core.mesh.measures import signed_volume
+from gf_usd.core.mesh.triangulation import triangulate
 from tools.acceptance.limbs import divide, edges
 
 BOX = """#usda 1.0

@@ -32,7 +32,7 @@ import igl
 import numpy as np
 from pxr import Usd, UsdGeom
 
-from gf_usd.core.mesh import Pieces, divided
+from gf_usd.core.mesh.subdivision import Pieces, divided
 from gf_usd.system import usd_schema as schema  # noqa: F401  (registers itself before any stage opens)
 from tools.acceptance.jitter import gf_usd
 from tools.acceptance.record import git

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.mesh import areas, signed_volume
+from gf_usd.core.mesh.measures import areas, signed_volume
 from gf_usd.geometry.solid import Solid
 
 INNER = 256  # points inside a surface that are tested, about: a copy has all of them inside

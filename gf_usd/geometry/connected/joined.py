@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import NO_COLOR, Asset, Surface
 from gf_usd.core.errors import listed_paths
-from gf_usd.core.mesh import areas, weld
+from gf_usd.core.mesh.measures import areas
+from gf_usd.core.mesh.topology import weld
 from gf_usd.geometry.connected.merged import corner_values, material_rows, starts
 from gf_usd.geometry.solid import closed_triangles
 

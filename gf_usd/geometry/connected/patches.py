@@ -23,7 +23,7 @@ from scipy.sparse import coo_matrix
 
 from gf_usd.core.arrays import Floats, Ints, cross, lengths
 from gf_usd.core.arrays import corners as outermost
-from gf_usd.core.mesh import Edges, used_points
+from gf_usd.core.mesh.topology import Edges, used_points
 from gf_usd.core.neighbors import components
 from gf_usd.geometry.sampling.pieces import cut
 from gf_usd.geometry.solid import INSIDE, Solid

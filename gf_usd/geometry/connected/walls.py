@@ -15,7 +15,8 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import NO_COLOR, Asset, Surface
-from gf_usd.core.mesh import Edges, areas, signed_volume
+from gf_usd.core.mesh.measures import areas, signed_volume
+from gf_usd.core.mesh.topology import Edges
 from gf_usd.geometry.connected.joined import Joined
 from gf_usd.geometry.connected.merged import corner_values, material_rows
 from gf_usd.geometry.solid import Bounds, closed_triangles

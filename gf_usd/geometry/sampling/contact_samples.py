@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from gf_usd.core.arrays import Floats, Ints, cross
 from gf_usd.core.arrays import corners as outermost
 from gf_usd.core.frames import SurfaceSamples
-from gf_usd.core.mesh import first_equal, used_points
+from gf_usd.core.mesh.topology import first_equal, used_points
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.geometry.sampling.mirror import SAME, mirror_axes
 from gf_usd.geometry.sampling.particles import TURNS

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import InputError
-from gf_usd.core.mesh import signed_volume
+from gf_usd.core.mesh.measures import signed_volume
 from gf_usd.core.units import length_text
 from gf_usd.geometry.sampling.pieces import POINTS, WEIGHTS, cut
 from gf_usd.geometry.solid import INSIDE, Solid, spread_evenly

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.mesh import used_points
+from gf_usd.core.mesh.topology import used_points
 from gf_usd.core.neighbors import kd_tree
 
 SAME = 1e-6  # of the diagonal: rounding of float32 points and unit conversion

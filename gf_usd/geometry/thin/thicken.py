@@ -16,7 +16,8 @@ from scipy.sparse import coo_matrix
 from gf_usd.core.arrays import Floats, Ints, cross
 from gf_usd.core.asset import Asset, Surface
 from gf_usd.core.errors import InputError
-from gf_usd.core.mesh import Edges, areas, signed_volume
+from gf_usd.core.mesh.measures import areas, signed_volume
+from gf_usd.core.mesh.topology import Edges
 from gf_usd.core.neighbors import components
 from gf_usd.geometry import winding
 from gf_usd.geometry.repair import Repairs

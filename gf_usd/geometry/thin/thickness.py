@@ -17,7 +17,7 @@ import igl
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints, cross
-from gf_usd.core.mesh import areas
+from gf_usd.core.mesh.measures import areas
 from gf_usd.geometry.solid import Bounds, Solid
 from gf_usd.geometry.winding import Flags
 

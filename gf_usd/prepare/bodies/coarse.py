@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from gf_usd.core.asset import Surface
-from gf_usd.core.mesh import areas
+from gf_usd.core.mesh.measures import areas
 from gf_usd.core.units import length_text, rounded_text
 
 FAR = 1.0  # [spacings] from the limit surface

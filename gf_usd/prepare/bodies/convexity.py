@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints, cross, row_dots
-from gf_usd.core.mesh import shells, signed_volume, used_points, weld
+from gf_usd.core.mesh.measures import signed_volume
+from gf_usd.core.mesh.topology import shells, used_points, weld
 from gf_usd.core.stage import Skin
 
 CONVEX = 0.9  # of the volume of its convex hull: a body that fills as much of it ...

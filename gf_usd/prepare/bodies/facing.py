@@ -14,7 +14,8 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints, cross, row_dots
 from gf_usd.core.frames import Particles
-from gf_usd.core.mesh import areas, boundary_edges, signed_volume, weld
+from gf_usd.core.mesh.measures import areas, signed_volume
+from gf_usd.core.mesh.topology import boundary_edges, weld
 from gf_usd.core.stage import Collider, ContactSetup
 
 FLAT = 1e-4  # share of (area)^(3/2) below which a volume counts as 0: no inside

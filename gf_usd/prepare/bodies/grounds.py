@@ -10,7 +10,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import Asset, StageFacts, Surface
-from gf_usd.core.mesh import signed_volume
+from gf_usd.core.mesh.measures import signed_volume
 
 if TYPE_CHECKING:
     from gf_usd.geometry.solid import Bounds, Solid

@@ -9,7 +9,7 @@ import numpy as np
 
 from gf_usd.core.frames import Settings
 from gf_usd.core.materials.material import Material
-from gf_usd.core.mesh import areas, signed_volume
+from gf_usd.core.mesh.measures import areas, signed_volume
 from gf_usd.core.stage import Pin, StagePhysics, StageSpec
 from gf_usd.prepare import paper as paper_options
 from gf_usd.prepare.bodies.contact import skins

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from gf_usd.core.asset import Asset, Surface
 from gf_usd.core.errors import InputError, listed_paths
-from gf_usd.core.mesh import signed_volume
+from gf_usd.core.mesh.measures import signed_volume
 
 if TYPE_CHECKING:
     from gf_usd.geometry.connected.joined import Joined

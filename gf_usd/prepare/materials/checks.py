@@ -16,7 +16,7 @@ from gf_usd.core.materials.laws import LAWS, stated_flow
 from gf_usd.core.materials.material import Material
 from gf_usd.core.materials.physical import PHYSICAL, PhysicalPreset
 from gf_usd.core.materials.presets import Fixed
-from gf_usd.core.mesh import areas, signed_volume
+from gf_usd.core.mesh.measures import areas, signed_volume
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.core.stage import StageSpec
 from gf_usd.core.units import length_text, rounded_text

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from gf_usd.core.errors import InputError, counted
-from gf_usd.core.mesh import weld
+from gf_usd.core.mesh.topology import weld
 from gf_usd.readers.mesh.data import (
     REPAIR,
     FileMesh,

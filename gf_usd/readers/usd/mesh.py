@@ -14,7 +14,7 @@ from pxr import Kind, Usd, UsdGeom
 from gf_usd.core.arrays import Floats, Ints, cross
 from gf_usd.core.asset import Surface
 from gf_usd.core.errors import InputError
-from gf_usd.core.mesh import triangulate
+from gf_usd.core.mesh.triangulation import triangulate
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.readers.mesh.divide.cages import cage_of, limit_surface
 from gf_usd.readers.notes import ANIMATED, Notes

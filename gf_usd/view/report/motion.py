@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.matrices import ellipsoids
-from gf_usd.core.mesh import areas
+from gf_usd.core.mesh.measures import areas
 from gf_usd.core.radiance import linear_to_srgb
 from gf_usd.core.scene import GaussianSet, MotionFrame, Recording
 from gf_usd.view.report.surface import DisplayMesh, corner_colors, make_display_mesh

@@ -11,7 +11,7 @@ from solids import asset, cube, sphere, surface
 
 from gf_usd import inspect
 from gf_usd.core.asset import Surface, SurfaceMaterial
-from gf_usd.core.mesh import signed_volume
+from gf_usd.core.mesh.measures import signed_volume
 from gf_usd.geometry.connected.joined import joined_surfaces
 from gf_usd.geometry.solid import build_solid
 from gf_usd.geometry.surface import Nearest, colors

@@ -9,7 +9,8 @@ import pytest
 from solids import asset, cube, sphere, surface
 
 from gf_usd.core.asset import Surface, SurfaceMaterial, Texture
-from gf_usd.core.mesh import boundary_edges, shells, signed_volume
+from gf_usd.core.mesh.measures import signed_volume
+from gf_usd.core.mesh.topology import boundary_edges, shells
 from gf_usd.geometry.connected.joined import joined_surfaces
 from gf_usd.geometry.connected.walls import Walls, find_walls, with_walls
 from gf_usd.geometry.solid import build_solid, closed_triangles

@@ -9,7 +9,7 @@ import pytest
 from mesh_moments import BODIES, of_mesh
 from solids import cube, joined, needle, solid, sphere, turned, without
 
-from gf_usd.core.mesh import signed_volume
+from gf_usd.core.mesh.measures import signed_volume
 from gf_usd.geometry.sampling.content import FULL, Grid, find_content
 from gf_usd.geometry.sampling.pieces import cut
 

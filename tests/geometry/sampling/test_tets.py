@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gf_usd.core.frames import CellCopies, Particles, SurfaceSamples
-from gf_usd.core.mesh import boundary_edges, tet_surface
+from gf_usd.core.mesh.topology import boundary_edges, tet_surface
 from gf_usd.geometry.sampling.tets import KUHN, tet_lattices, without_hinges
 
 NOTHING = SurfaceSamples(X=np.zeros((0, 3)), area=np.zeros(0))

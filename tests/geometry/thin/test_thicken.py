@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from solids import asset, cube, joined, moebius, sphere, surface
 
-from gf_usd.core.mesh import boundary_edges
+from gf_usd.core.mesh.topology import boundary_edges
 from gf_usd.geometry import winding
 from gf_usd.geometry.repair import repair_asset
 from gf_usd.geometry.sampling.particles import count_particles, sample_solid

@@ -8,7 +8,9 @@ from contact_scenes import bricks
 from solids import sphere
 from two_legs import SPACING, legs, sampled
 
-from gf_usd.core.mesh import boundary_edges, signed_volume, with_short_edges
+from gf_usd.core.mesh.measures import signed_volume
+from gf_usd.core.mesh.subdivision import with_short_edges
+from gf_usd.core.mesh.topology import boundary_edges
 from gf_usd.physics.contact.self_contact.sample_mesh import Neighbors, incident, triangulate
 
 

@@ -120,7 +120,7 @@ def test_rigid_bodies_that_touch_stay_apart(plan) -> None:
 
 
 def test_skins_are_seen_from_outside(plan) -> None:
-    from gf_usd.core.mesh import signed_volume
+    from gf_usd.core.mesh.measures import signed_volume
 
     inside_out = 'uniform token orientation = "leftHanded"'
     seen = plan(cubes(inside_out))

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
-from gf_usd.core.mesh import signed_volume, triangulate
+from gf_usd.core.mesh.measures import signed_volume
+from gf_usd.core.mesh.triangulation import triangulate
 from gf_usd.readers.isolated import read_untrusted
 from gf_usd.readers.mesh.divide import layer
 from gf_usd.readers.mesh.divide.cages import cage_of, limit_surface, refine_until

@@ -9,7 +9,8 @@ import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
 from gf_usd.core.errors import InputError
-from gf_usd.core.mesh import areas, signed_volume, triangulate
+from gf_usd.core.mesh.measures import areas, signed_volume
+from gf_usd.core.mesh.triangulation import triangulate
 from gf_usd.readers.isolated import read_untrusted
 from gf_usd.readers.mesh.divide import layer as divide
 from gf_usd.readers.mesh.divide.faces import divide_faces

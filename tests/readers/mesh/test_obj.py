@@ -8,7 +8,7 @@ from mesh_makers import CORNERS, QUADS, cube_obj, png, written
 from pxr import Usd, UsdGeom
 
 from gf_usd.core.errors import InputError
-from gf_usd.core.mesh import signed_volume
+from gf_usd.core.mesh.measures import signed_volume
 from gf_usd.core.radiance import srgb_to_linear
 from gf_usd.readers import convert, read_asset
 

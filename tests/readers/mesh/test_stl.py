@@ -8,7 +8,7 @@ import trimesh
 from mesh_makers import written
 
 from gf_usd.core.errors import InputError
-from gf_usd.core.mesh import boundary_edges
+from gf_usd.core.mesh.topology import boundary_edges
 from gf_usd.readers import convert, read_asset
 
 BOX = trimesh.creation.box((1.0, 2.0, 3.0))

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from gf_usd.core.mesh import boundary_edges, shells, signed_volume, weld
+from gf_usd.core.mesh.measures import signed_volume
+from gf_usd.core.mesh.topology import boundary_edges, shells, weld
 
 PI = np.pi
 SHAPES = {

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from gf_usd.core.errors import InputError
-from gf_usd.core.mesh import boundary_edges, signed_volume
+from gf_usd.core.mesh.measures import signed_volume
+from gf_usd.core.mesh.topology import boundary_edges
 from gf_usd.geometry.solid import closed_triangles
 
 # A unit cube on the origin, quads, outward.

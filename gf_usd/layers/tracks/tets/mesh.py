@@ -16,7 +16,7 @@ from pxr import Sdf, Usd, UsdGeom, Vt
 from gf_usd.core.arrays import Floats, corners, cross
 from gf_usd.core.frames import BakeInfo, MeshPose, Particles, TetLattice
 from gf_usd.core.materials.per_particle import spread
-from gf_usd.core.mesh import tet_surface
+from gf_usd.core.mesh.topology import tet_surface
 from gf_usd.core.units import StageUnits
 from gf_usd.layers.materials import bind
 from gf_usd.layers.stage import author_bind_pose, box, f32

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints, cross, lengths, row_dots
-from gf_usd.core.mesh import proper, weld
+from gf_usd.core.mesh.topology import proper, weld
 
 SHARP = np.radians(30.0)  # angle by which the faces at an edge or a corner turn, at least
 FLAT = 1e-6  # of its length: an edge that rises less above the plane of a corner does not rise

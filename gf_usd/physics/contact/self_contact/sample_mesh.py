@@ -15,7 +15,7 @@ import igl
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.mesh import with_short_edges
+from gf_usd.core.mesh.subdivision import with_short_edges
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.core.stage import Skin
 

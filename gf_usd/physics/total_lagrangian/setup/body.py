@@ -11,12 +11,8 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.frames import Particles, Pose, Settings
 from gf_usd.core.stage import ContactSetup
-from gf_usd.physics.contact.floor import (
-    FloorContact,
-)
-from gf_usd.physics.grid.embedding import (
-    SplineRows,
-)
+from gf_usd.physics.contact.floor import FloorContact
+from gf_usd.physics.grid.embedding import SplineRows
 from gf_usd.physics.grid.goals import NodeGoals
 from gf_usd.physics.grid.mass import NodalMass
 from gf_usd.physics.grid.pins import PinConstraint, PinnedPoints

@@ -9,9 +9,7 @@ from scipy import sparse
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.frames import Particles, Settings
-from gf_usd.physics.contact.floor import (
-    FloorContact,
-)
+from gf_usd.physics.contact.floor import FloorContact
 from gf_usd.physics.grid.embedding import (
     SplineRows,
     gathered,

@@ -15,7 +15,8 @@ from pxr import Usd, UsdGeom
 
 from gf_usd.core.arrays import Floats, Ints, lengths
 from gf_usd.core.asset import LimitSurface
-from gf_usd.core.mesh import signed_volume, triangulate
+from gf_usd.core.mesh.measures import signed_volume
+from gf_usd.core.mesh.triangulation import triangulate
 from gf_usd.readers.mesh.divide.catmull_clark import (
     INFINITE,
     Cage,

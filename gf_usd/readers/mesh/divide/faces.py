@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints, lengths
-from gf_usd.core.mesh import Division, divide_edges, triangulate
+from gf_usd.core.mesh.subdivision import Division, divide_edges
+from gf_usd.core.mesh.triangulation import triangulate
 
 POINTS, VARYING, FACES, CORNERS = "points", "varying", "faces", "corners"
 

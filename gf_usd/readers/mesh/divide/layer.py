@@ -20,7 +20,8 @@ from pxr import Sdf, Usd, UsdGeom
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Surface
 from gf_usd.core.errors import InputError, counted
-from gf_usd.core.mesh import EDGE, signed_volume
+from gf_usd.core.mesh.measures import signed_volume
+from gf_usd.core.mesh.subdivision import EDGE
 from gf_usd.readers.mesh.divide import skinned
 from gf_usd.readers.mesh.divide.cages import FIRST, RefinedCage, cage_of, refine_until, unknown_rule
 from gf_usd.readers.mesh.divide.faces import (

@@ -9,9 +9,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import InputError
-from gf_usd.readers.mesh.data import (
-    REPAIR,
-)
+from gf_usd.readers.mesh.data import REPAIR
 
 TYPES = {
     name: kind

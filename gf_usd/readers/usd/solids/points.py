@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from pxr import Usd, UsdGeom
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.mesh import proper, signed_volume, weld
+from gf_usd.core.mesh.measures import signed_volume
+from gf_usd.core.mesh.topology import proper, weld
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.usd.stage import SkippedPrim

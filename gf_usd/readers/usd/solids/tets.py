@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints, cross
-from gf_usd.core.mesh import tet_surface, weld
+from gf_usd.core.mesh.topology import tet_surface, weld
 from gf_usd.core.units import percent_text
 
 EDGES = np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)])

@@ -12,7 +12,8 @@ from PIL import Image
 from pxr import Sdf
 
 from gf_usd.core.errors import InputError
-from gf_usd.core.mesh import boundary_edges, signed_volume, weld
+from gf_usd.core.mesh.measures import signed_volume
+from gf_usd.core.mesh.topology import boundary_edges, weld
 from gf_usd.readers import convert, read_asset
 from gf_usd.readers.mesh.gltf.container import open_gltf
 from gf_usd.readers.mesh.gltf.primitives import decoded

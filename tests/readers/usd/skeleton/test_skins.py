@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pxr import Gf, Usd, UsdSkel
 
-from gf_usd.core.mesh import signed_volume
+from gf_usd.core.mesh.measures import signed_volume
 from gf_usd.readers import read_asset
 
 # A bar of two cells along x; the second joint, at x = 1, turns about z and moves.

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gf_usd.core.mesh import boundary_edges, signed_volume
+from gf_usd.core.mesh.measures import signed_volume
+from gf_usd.core.mesh.topology import boundary_edges
 from gf_usd.readers.usd.solids import points as module
 from gf_usd.readers.usd.solids.points import cover
 from gf_usd.readers.usd.stage import SkippedPrim

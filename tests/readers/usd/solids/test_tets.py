@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from gf_usd.core.errors import InputError
-from gf_usd.core.mesh import boundary_edges, signed_volume
+from gf_usd.core.mesh.measures import signed_volume
+from gf_usd.core.mesh.topology import boundary_edges
 from gf_usd.readers.usd.solids.tets import boundary, signed_volumes
 
 # A cube of edge 1 in six tetrahedra around its diagonal (Kuhn), each of volume 1/6.
