@@ -325,6 +325,11 @@ class Health:
     stretched_body: str | None = None  # prim path of that body; None: nothing is stretched so
 
     @property
+    def energy(self) -> float:
+        """[J] kinetic, elastic, potential and of contact."""
+        return self.kinetic + self.elastic + self.potential + self.contact
+
+    @property
     def dissipation(self) -> float:
         """[J] dissipated in the frame by plastic flow and settling, which are measured."""
         return (self.plastic_dissipation or 0.0) + (self.settling_dissipation or 0.0)

@@ -283,7 +283,7 @@ class Guard:
 
     def judge(self, last: Health, now: Health, particles: Pose) -> tuple[int, str]:
         """The particle and the error of a frame, as text; (-1, "") where the frame is valid."""
-        before, after = energy(last), energy(now)
+        before, after = last.energy, now.energy
         self._scale = max(self._scale, last.kinetic + last.elastic)
         gain = after - before - now.work - now.injected + now.dissipation
         # For a body at rest that a pin sets in motion, the work of the frame is the only scale.
@@ -352,11 +352,6 @@ class Guard:
         self._scale = float(saved["scale"])
         self._calm, self._inverted = int(saved["calm"]), int(saved["inverted"])
         self.halvings = int(saved["halvings"])
-
-
-def energy(h: Health) -> float:
-    """Kinetic, elastic, potential and contact energy [J]."""
-    return h.kinetic + h.elastic + h.potential + h.contact
 
 
 def worst(particles: Pose) -> int:

@@ -45,7 +45,7 @@ def drop(
         "vertex depth": max(depths),
         "sample depth": max(h.penetration for h in health) / body.spacing,
         "rebound": np.nan if bounce is None else bounce,
-        "energy": _energy(health[-1]) / _energy(health[0]),
+        "energy": health[-1].energy / health[0].energy,
         "rollbacks": sum(h.rollbacks for h in health),
     }
 
@@ -53,10 +53,6 @@ def drop(
 def rebound(name: str, **changes: float) -> float:
     """Of a coarse ball: 600 particles and 60 frames change it by less than .02."""
     return drop(name, 1.0, 600, 60, **changes)["rebound"]
-
-
-def _energy(h) -> float:
-    return h.kinetic + h.elastic + h.potential + h.contact
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ from solids import preset_material, settings, solid, sphere
 from gf_usd.core.frames import SurfaceSamples
 from gf_usd.core.neighbors import slopes
 from gf_usd.geometry.sampling.particles import sample_solid
-from gf_usd.physics.frame_loop import GAIN, energy
+from gf_usd.physics.frame_loop import GAIN
 from gf_usd.physics.total_lagrangian.shape_correction import wls_gradient
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.prepare.paper import PAPER_CAP, PAPER_CLAMP
@@ -74,17 +74,17 @@ def test_wls_gives_energy_to_a_free_body_and_its_absence_does_not():
         return [f.health for f in frames]
 
     plain, fed = flight(False), flight(True)
-    start = energy(plain[0])
+    start = plain[0].energy
     for h in plain:
-        assert energy(h) == pytest.approx(start, rel=0.01)
+        assert h.energy == pytest.approx(start, rel=0.01)
         assert h.injected == 0.0
-    assert energy(fed[-1]) > 5.0 * start
-    assert sum(h.injected for h in fed) == pytest.approx(energy(fed[-1]) - start, rel=0.02)
+    assert fed[-1].energy > 5.0 * start
+    assert sum(h.injected for h in fed) == pytest.approx(fed[-1].energy - start, rel=0.02)
     # Not a step of it is the integrator's: no frame was redone, and each is accounted for.
-    scale = max(energy(h) for h in fed)
+    scale = max(h.energy for h in fed)
     for before, after in pairwise(fed):
         assert after.rollbacks == 0
-        assert abs(energy(after) - energy(before) - after.injected) < GAIN * scale
+        assert abs(after.energy - before.energy - after.injected) < GAIN * scale
 
 
 def spread(frames) -> float:

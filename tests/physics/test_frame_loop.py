@@ -14,7 +14,7 @@ from solids import ball, preset_material, settings
 from gf_usd.core.errors import BakeError, SolverError
 from gf_usd.core.frames import Frame, Health, Pose
 from gf_usd.core.materials.dimensionless import FILTER_RATE, time_scale
-from gf_usd.physics.frame_loop import CALM_FRAMES, ESCAPE, GAIN, GROWTH, RETRIES, Guard, energy
+from gf_usd.physics.frame_loop import CALM_FRAMES, ESCAPE, GAIN, GROWTH, RETRIES, Guard
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 
 SCALE = 100.0  # [J]
@@ -36,7 +36,7 @@ def message(guard: Guard, last: Health, now: Health) -> str:
 
 
 def test_energy_is_all_four_of_its_kinds() -> None:
-    assert energy(Health(kinetic=1.0, elastic=20.0, potential=300.0, contact=4000.0)) == 4321.0
+    assert Health(kinetic=1.0, elastic=20.0, potential=300.0, contact=4000.0).energy == 4321.0
 
 
 @pytest.mark.parametrize("kind", ["kinetic", "elastic", "potential", "contact"])
@@ -179,7 +179,7 @@ def test_a_step_that_is_too_long_is_rolled_back() -> None:
         assert np.isfinite(now.particles.F).all()
         liveliest = max(liveliest, before.health.kinetic + before.health.elastic)
         scale = max(solver.body.m.sum() * 9.81 * solver.particles.radius, liveliest)
-        assert energy(now.health) - energy(before.health) <= GAIN * scale
+        assert now.health.energy - before.health.energy <= GAIN * scale
         # each rollback of a frame halves its step
         assert now.health.substeps >= solver.coarse << now.health.rollbacks
     # It still is the same ball: a step up to six times as long as the sound one moves its center by
@@ -196,7 +196,7 @@ def test_without_the_guard_that_step_gains_energy(monkeypatch: pytest.MonkeyPatc
     frames, energies = dropped(safety=3.0).frames(), []
 
     def on() -> None:
-        energies.extend(energy(frame.health) for frame in frames)
+        energies.extend(frame.health.energy for frame in frames)
 
     with pytest.raises(SolverError, match="no longer finite"):
         on()

@@ -18,7 +18,6 @@ from pathlib import Path
 import numpy as np
 
 from gf_usd.core.errors import BakeError
-from gf_usd.physics.frame_loop import energy
 from gf_usd.pipeline.prepared import prepare
 
 SAMPLES = Path(__file__).resolve().parents[2] / "samples"
@@ -94,7 +93,7 @@ def last(run: Run, particles: int, scale: float) -> Lasted:
             h = frame.health
             frames, rollbacks = frames + 1, rollbacks + h.rollbacks
             inverted, kinetic = inverted + h.inverted, h.kinetic
-            rise, before = max(rise, energy(h) - before), energy(h)
+            rise, before = max(rise, h.energy - before), h.energy
             farthest = max(farthest, float(np.linalg.norm(frame.particles.x - home, axis=1).max()))
     except BakeError as error:
         fault = error.message

@@ -40,7 +40,7 @@ from gf_usd.physics.coupled.transfer import (
     solid_of,
     write_flow,
 )
-from gf_usd.physics.frame_loop import FrameStats, Guard, Solver, energy
+from gf_usd.physics.frame_loop import FrameStats, Guard, Solver
 from gf_usd.physics.taichi_arrays import Saved
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.physics.updated_lagrangian.conversion import past_limits
@@ -266,7 +266,7 @@ class Converting(Solver):
         self._transfer(before, numbers, mine, frame.time)
         after = self.now.read(index)
         seen = frame.health
-        given = energy(after.health) - energy(seen)
+        given = after.health.energy - seen.energy
         lost = max(0.0, -given)
         return replace(
             after,

@@ -138,7 +138,7 @@ class HealthLog:
 
     def per_frame(self) -> list[dict[str, Any]]:
         """Every frame's health as plain values, with the total energy and its gain."""
-        total = [energy(f) for f in self.frames]
+        total = [f.energy for f in self.frames]
         gains = [0.0, *gain_of_frames(self.frames)]
         return [
             {
@@ -158,7 +158,7 @@ class HealthLog:
         return max([weight, *(f.kinetic + f.elastic for f in self.frames)])
 
     def _energies(self) -> dict[str, Any]:
-        h, total = self.frames, [energy(f) for f in self.frames]
+        h, total = self.frames, [f.energy for f in self.frames]
         gain = max([0.0, *gain_of_frames(h)])
         work, injected = sum(f.work for f in h), sum(f.injected for f in h)
         flow = [f.plastic_dissipation for f in h if f.plastic_dissipation is not None]
@@ -325,11 +325,6 @@ def health_of(row: Mapping[str, Any]) -> Health:
     return Health(**fields)
 
 
-def energy(f: Health) -> float:
-    """Kinetic, elastic, potential and contact energy [J]."""
-    return f.kinetic + f.elastic + f.potential + f.contact
-
-
 def gain_of_frames(frames: Sequence[Health]) -> list[float]:
     """E_i - E_(i-1) - W_i [J] of every frame but the first: energy without a source.
 
@@ -337,9 +332,7 @@ def gain_of_frames(frames: Sequence[Health]) -> list[float]:
     settling.  Damping, friction, drag and the filter only remove energy, so a gain above rounding
     and the integrator's error is spurious.
     """
-    return [
-        energy(b) - energy(a) - b.work - b.injected + b.dissipation for a, b in pairwise(frames)
-    ]
+    return [b.energy - a.energy - b.work - b.injected + b.dissipation for a, b in pairwise(frames)]
 
 
 def free_flight(frames: Sequence[Health]) -> Sequence[Health]:

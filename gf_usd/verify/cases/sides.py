@@ -9,7 +9,6 @@ import numpy as np
 
 from gf_usd.core.frames import LUMPED
 from gf_usd.core.materials.dimensionless import FILTER_RATE, G0, time_scale
-from gf_usd.physics.frame_loop import energy
 from gf_usd.physics.solvers import make_solver
 from gf_usd.verify.bodies import ball, preset_material, settings, sphere
 from gf_usd.verify.case import AT_LEAST, Case, Measure
@@ -48,7 +47,7 @@ def drop(solver: str, particles: int, device: str) -> Drop:
         heights.append(np.ptp(frame.embedded["skin"].x[:, 1]))
         sigmas.append(body.V0 @ strains(frame.particles.F)[0][:, 0] / body.volume)
         centers.append(frame.health.center[1])
-        energies.append(energy(frame.health))
+        energies.append(frame.health.energy)
     low = int(np.argmin(centers))
     return Drop(
         height=float(min(heights) / heights[0]),

@@ -66,7 +66,7 @@ def test_a_rising_obstacle_carries_what_lies_on_it_and_its_work_is_counted() -> 
     seen = list(run.frames())
     v = seen[-1].particles.v[:, 1]
     assert v.mean() == pytest.approx(speed, rel=0.02)
-    energy = [h.kinetic + h.elastic + h.potential + h.contact for h in (f.health for f in seen)]
+    energy = [h.energy for h in (f.health for f in seen)]
     work = sum(f.health.work for f in seen)
     lost = sum(f.health.plastic_dissipation or 0.0 for f in seen)
     given = sum(f.health.injected for f in seen)

@@ -99,7 +99,7 @@ def test_the_work_of_a_moving_corner_is_what_a_body_gains() -> None:
         seen.append(frame.health)
         planes = solver.pairs.planes
         faced += int((planes.partner[len(solver.pairs._X) :] >= 0).sum())
-    energy = [h.kinetic + h.elastic + h.potential + h.contact for h in seen]
+    energy = [h.energy for h in seen]
     work = sum(h.work for h in seen)
     given = sum(h.injected for h in seen)
     gain = energy[-1] - energy[0]

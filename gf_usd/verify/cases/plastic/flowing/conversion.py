@@ -13,7 +13,6 @@ from gf_usd.core.materials.conversion import TIME, Conversion, Limit
 from gf_usd.core.materials.dimensionless import G0
 from gf_usd.core.materials.presets import find_preset
 from gf_usd.core.stage import ContactSetup, Skin
-from gf_usd.physics.frame_loop import energy
 from gf_usd.physics.solvers import make_solver
 from gf_usd.verify.bodies import ball, preset_material, settings, sphere
 from gf_usd.verify.case import ABSOLUTE, RELATIVE, Case, Curve, Measure
@@ -56,9 +55,7 @@ def flight(particles: int, device: str) -> Flight:
     fallen = center[0] + np.outer(0.5 * t**2, [0.0, -G0, 0.0])
     spin = np.array([np.array(h.angular_momentum) - np.cross(h.center, h.momentum) for h in health])
     whole = float(np.linalg.norm(spin[0]))
-    gains = [
-        energy(b) - energy(a) - b.work - b.injected + b.dissipation for a, b in pairwise(health)
-    ]
+    gains = [b.energy - a.energy - b.work - b.injected + b.dissipation for a, b in pairwise(health)]
 
     def about_axis(k: int) -> float:
         x = results[k].particles.x - m @ results[k].particles.x / m.sum()
