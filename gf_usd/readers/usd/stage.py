@@ -425,3 +425,10 @@ class Placement:
         """
         del carriers
         return normals @ np.linalg.inv(self.matrix[:3, :3]).T
+
+
+def upwards(prim: Usd.Prim) -> Iterator[Usd.Prim]:
+    """The prim and its ancestors, without the pseudo-root."""
+    while prim and not prim.IsPseudoRoot():
+        yield prim
+        prim = prim.GetParent()

@@ -22,7 +22,7 @@ from gf_usd.core.materials.laws import law_parameters
 from gf_usd.core.materials.presets import presets
 from gf_usd.core.stage import PrimBake, Subject
 from gf_usd.readers.usd.select import named_prim
-from gf_usd.readers.usd.stage import open_stage, reading
+from gf_usd.readers.usd.stage import open_stage, reading, upwards
 from gf_usd.readers.usd_physics.attributes import count, flag, number, role, word
 
 T = TypeVar("T")
@@ -77,7 +77,7 @@ def _resolution(
     blocks the value of an ancestor.
     """
     spacing_open = particles_open = True
-    for above in _upwards(prim):
+    for above in upwards(prim):
         spacing = number(path, above, SPACING, time)
         particles = count(path, above, PARTICLES, time)
         if spacing and spacing_open:
@@ -91,14 +91,7 @@ def _resolution(
 
 def _nearest(prim: Usd.Prim, read: Callable[[Usd.Prim], T | None]) -> T | None:
     """The first result of `read` that is not None, from the prim upward."""
-    return next((value for one in _upwards(prim) if (value := read(one)) is not None), None)
-
-
-def _upwards(prim: Usd.Prim) -> Iterator[Usd.Prim]:
-    """The prim and its ancestors."""
-    while prim and not prim.IsPseudoRoot():
-        yield prim
-        prim = prim.GetParent()
+    return next((value for one in upwards(prim) if (value := read(one)) is not None), None)
 
 
 PURPOSES = (UsdShade.Tokens.preview, UsdShade.Tokens.full, "physics")
@@ -120,7 +113,7 @@ def read_subjects(
 
 
 def _subject(prim: Usd.Prim, time: Usd.TimeCode) -> Subject:
-    above = [label for one in _above(prim) for label in _labels(one, time)]
+    above = [label for one in upwards(prim.GetParent()) for label in _labels(one, time)]
     return Subject(
         path=str(prim.GetPath()),
         looks=_bound_materials(prim, time),
@@ -157,13 +150,6 @@ def _labels(prim: Usd.Prim, time: Usd.TimeCode) -> tuple[str, ...]:
         labels = UsdSemantics.LabelsAPI(prim, taxonomy).GetLabelsAttr()
         out += [str(label) for label in (labels.Get(time) if labels else None) or []]
     return tuple(dict.fromkeys(out))
-
-
-def _above(prim: Usd.Prim) -> Iterator[Usd.Prim]:
-    prim = prim.GetParent()
-    while prim and not prim.IsPseudoRoot():
-        yield prim
-        prim = prim.GetParent()
 
 
 YOUNG, NU, DENSITY = (

@@ -11,6 +11,7 @@ from pxr import Usd
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import InputError, did_you_mean
+from gf_usd.readers.usd.stage import upwards
 
 
 def authored(prim: Usd.Prim, name: str, time: Usd.TimeCode) -> Any:
@@ -143,12 +144,10 @@ def switch(prim: Usd.Prim, name: str, time: Usd.TimeCode, *, otherwise: bool) ->
 
 def body_of(prim: Usd.Prim, time: Usd.TimeCode) -> Usd.Prim | None:
     """The prim or its nearest ancestor that is an enabled rigid or deformable body."""
-    above = prim
-    while above and not above.IsPseudoRoot():
+    for above in upwards(prim):
         for api in apis(above) & BODIES.keys():
             if switch(above, BODIES[api][0], time, otherwise=True):
                 return above
-        above = above.GetParent()
     return None
 
 

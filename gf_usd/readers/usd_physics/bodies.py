@@ -24,6 +24,7 @@ from gf_usd.core.stage import (
 from gf_usd.core.units import StageUnits
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.usd.mesh import Reading
+from gf_usd.readers.usd.stage import upwards
 from gf_usd.readers.usd_physics.attributes import (
     BODIES,
     COLLISION,
@@ -101,12 +102,11 @@ def read_body(
 
 def _chain(prim: Usd.Prim, owner: Usd.Prim | None, time: Usd.TimeCode) -> list[Usd.Prim]:
     """The prims from the body down to `prim` whose PhysicsMassAPI takes effect."""
-    found, above = [], prim
-    while above and not above.IsPseudoRoot():
-        found.append(above)
-        if owner is None or above == owner:
+    found = []
+    for one in upwards(prim):
+        found.append(one)
+        if owner is None or one == owner:
             break
-        above = above.GetParent()
     return [one for one in reversed(found) if _mass_counts(one, time)]
 
 
@@ -132,11 +132,9 @@ def _mass(
             require_constant(here.path, one.GetAttribute(name))
             if value:
                 return value * units.mass, str(one.GetPath()), name
-    above = prim.GetParent() if owner is None else None
-    while above and not above.IsPseudoRoot():
+    for above in upwards(prim.GetParent()) if owner is None else ():
         if MASS in apis(above) and number(here.path, above, MASSES[0], here.time):
             notes.add("states a mass but is not a body: ignored", str(above.GetPath()))
-        above = above.GetParent()
     return None, "", ""
 
 

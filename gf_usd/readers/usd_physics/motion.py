@@ -16,6 +16,7 @@ from gf_usd.readers.usd.mesh import Reading, posed_points
 from gf_usd.readers.usd.shading import BoundShading, ShadingReader
 from gf_usd.readers.usd.skeleton.skins import Skins
 from gf_usd.readers.usd.splats import is_captured
+from gf_usd.readers.usd.stage import upwards
 
 # Attributes that define the shape of a prim in local space.
 SHAPE = (
@@ -73,23 +74,16 @@ def matrix(prim: Usd.Prim, reading: Reading) -> NDArray[np.float64]:
 
 def transform_varies(prim: Usd.Prim) -> bool:
     """Whether the transform of the prim or an ancestor might vary over time."""
-    above = prim
-    while above and not above.IsPseudoRoot():
-        placed = UsdGeom.Xformable(above)
-        if placed and placed.TransformMightBeTimeVarying():
-            return True
-        above = above.GetParent()
-    return False
+    placed = (UsdGeom.Xformable(one) for one in upwards(prim))
+    return any(one.TransformMightBeTimeVarying() for one in placed if one)
 
 
 def moves_after(prim: Usd.Prim, time: Usd.TimeCode) -> bool:
     """Whether the transform of the prim or an ancestor varies after a time."""
     codes: set[float] = set()
-    above = prim
-    while above and not above.IsPseudoRoot():
-        if placed := UsdGeom.Xformable(above):
+    for one in upwards(prim):
+        if placed := UsdGeom.Xformable(one):
             codes.update(placed.GetTimeSamples())
-        above = above.GetParent()
     shown = UsdGeom.Imageable(prim)
     here = shown.ComputeLocalToWorldTransform(time)
     later = (code for code in sorted(codes) if code > time.GetValue())

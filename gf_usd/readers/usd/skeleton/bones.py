@@ -37,7 +37,7 @@ from gf_usd.readers.usd.select import named_prim
 from gf_usd.readers.usd.skeleton.joint_motion import joint_motion, skeleton_world, skeleton_worlds
 from gf_usd.readers.usd.skeleton.rig import Rig, read_rig
 from gf_usd.readers.usd.skeleton.skins import Skins
-from gf_usd.readers.usd.stage import open_stage, reading
+from gf_usd.readers.usd.stage import open_stage, reading, upwards
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
@@ -64,11 +64,9 @@ def animation_range(
             animation = rig.query.GetAnimQuery()
             if animation:
                 codes.update(animation.GetJointTransformTimeSamples())
-            above = rig.prim
-            while above and not above.IsPseudoRoot():
-                if placed := UsdGeom.Xformable(above):
+            for one in upwards(rig.prim):
+                if placed := UsdGeom.Xformable(one):
                     codes.update(placed.GetTimeSamples())
-                above = above.GetParent()
     first = facts.start_time_code
     last = facts.end_time_code
     if first is None:

@@ -11,12 +11,12 @@ mesh therefore starts in its bind pose if its simulation mesh does.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 from pxr import Usd, UsdGeom
 
 from gf_usd.core.arrays import Floats
+from gf_usd.readers.usd.stage import upwards
+from gf_usd.readers.usd_physics.attributes import apis
 
 POSES = (
     ("PhysicsDeformablePoseAPI:", "physics:deformablePose:{}:{}"),
@@ -52,7 +52,7 @@ def bound_points(prim: Usd.Prim, points: Floats, time: Usd.TimeCode) -> tuple[Fl
     away = _relative_distance(bind, points)
     if away <= SAME:
         return points, ""
-    if _apis(prim) & SIMULATED:
+    if apis(prim) & SIMULATED:
         return points, "starts from its points, not from its bind pose"
     if (simulated := _simulation_mesh(prim)) is None or _in_bind_pose(simulated, time):
         return bind, "starts from its bind pose"
@@ -83,21 +83,11 @@ def _bind_pose(prim: Usd.Prim, time: Usd.TimeCode) -> Floats | None:
     return None
 
 
-def _apis(prim: Usd.Prim) -> set[str]:
-    return {*prim.GetAppliedSchemas(), *prim.GetPrimTypeInfo().GetAppliedAPISchemas()}
-
-
-def _upwards(prim: Usd.Prim) -> Iterator[Usd.Prim]:
-    while prim and not prim.IsPseudoRoot():
-        yield prim
-        prim = prim.GetParent()
-
-
 def _simulation_mesh(prim: Usd.Prim) -> Usd.Prim | None:
     """The simulation mesh of the body that a mesh is part of: a child of the body's prim."""
-    body = next((one for one in _upwards(prim) if _apis(one) & BODIES), None)
+    body = next((one for one in upwards(prim) if apis(one) & BODIES), None)
     children = body.GetChildren() if body else ()
-    return next((child for child in children if _apis(child) & SIMULATED), None)
+    return next((child for child in children if apis(child) & SIMULATED), None)
 
 
 def _in_bind_pose(mesh: Usd.Prim, time: Usd.TimeCode) -> bool:
