@@ -9,11 +9,7 @@ import numpy as np
 import trimesh
 
 from gf_usd.core.asset import Asset, StageFacts, Surface
-from gf_usd.core.frames import (
-    Particles,
-    Settings,
-    SurfaceSamples,  # fmt: skip
-)
+from gf_usd.core.frames import Particles, Pose, Settings, SurfaceSamples
 from gf_usd.core.materials.dimensionless import DIMENSIONLESS
 from gf_usd.core.materials.material import Material
 from gf_usd.core.mesh.measures import signed_volume
@@ -175,3 +171,9 @@ def volume(body) -> float:
 def around(body, vertex: int) -> np.ndarray:
     """Rows of the triangles about a vertex."""
     return np.flatnonzero((body.triangles == vertex).any(1))
+
+
+def resting_pose(points: Any) -> Pose:
+    """The pose of undeformed points (n, 3) [m] at rest."""
+    n = len(points)
+    return Pose(x=np.asarray(points, float), v=np.zeros((n, 3)), F=np.tile(np.eye(3), (n, 1, 1)))

@@ -60,3 +60,10 @@ def force(solver):
 
 def clipped(F, low, high):
     return clip_stretches(np.asarray(F)[None], low, high)[0][0]
+
+
+def corotated(F: np.ndarray, mu: float, lam: float) -> np.ndarray:
+    """P = 2 mu (F - R) + lam (J - 1) J F^-T by singular values; (N, 3, 3)."""
+    U, _, Vt = np.linalg.svd(F)
+    J = np.linalg.det(F)[:, None, None]
+    return 2.0 * mu * (F - U @ Vt) + lam * (J - 1.0) * J * np.linalg.inv(F).swapaxes(1, 2)

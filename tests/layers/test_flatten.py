@@ -10,9 +10,10 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from pxr import Ar, Sdf, Usd, UsdGeom, UsdUtils
+from pxr import Ar, Sdf, Usd, UsdUtils
 from small_sources import PLAIN, SOURCES, Source
 from small_stages import CUBE, asset_of, bake, write
+from visible_prims import visible
 
 from gf_usd.core.asset import Asset
 from gf_usd.core.errors import BakeError
@@ -56,12 +57,6 @@ def values(stage: Usd.Stage) -> dict[str, object]:
     return found
 
 
-def drawn(stage: Usd.Stage) -> set[str]:
-    walk = stage.Traverse(Usd.TraverseInstanceProxies())
-    gprims = [UsdGeom.Gprim(p) for p in walk if p.IsA(UsdGeom.Gprim)]
-    return {str(g.GetPath()) for g in gprims if g.ComputeVisibility() != "invisible"}
-
-
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_one_file_says_what_the_layers_say(source: Source, suffix: str, tmp_path: Path) -> None:
     asset = source.asset(tmp_path)
@@ -95,7 +90,7 @@ def test_the_displays_still_switch(source: Source, tmp_path: Path) -> None:
     asset = source.asset(tmp_path)
     layers, one = flat(asset, tmp_path, ".usdc")
     stages = [Usd.Stage.Open(str(path)) for path in (layers, one)]
-    assert drawn(stages[0]) == drawn(stages[1])
+    assert visible(stages[0]) == visible(stages[1])
     seen = set()
     for shape in ALL.shapes:
         for stage in stages:
@@ -105,8 +100,8 @@ def test_the_displays_still_switch(source: Source, tmp_path: Path) -> None:
                     there = prim.GetVariantSet(name).GetVariantNames()
                     if set(there) == set(ALL.shapes):
                         prim.GetVariantSet(name).SetVariantSelection(shape)
-        assert drawn(stages[0]) == drawn(stages[1]), shape
-        seen.add(frozenset(drawn(stages[1])))
+        assert visible(stages[0]) == visible(stages[1]), shape
+        seen.add(frozenset(visible(stages[1])))
     assert len(seen) == 3
 
 

@@ -4,15 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from solids import cube, sphere, surface
+from solids import cube, resting_pose, sphere, surface
 
-from gf_usd.core.frames import Pose
 from gf_usd.pipeline.measures.inside import MEASURES, InsideMeasure, directions
-
-
-def pose(points) -> Pose:
-    n = len(points)
-    return Pose(x=np.asarray(points, float), v=np.zeros((n, 3)), F=np.tile(np.eye(3), (n, 1, 1)))
 
 
 @pytest.mark.slow
@@ -23,13 +17,16 @@ def test_a_ball_that_sinks_into_another(flip):
     if flip:
         right = surface(right.points, right.triangles[:, ::-1], path="/Right")
     measure = InsideMeasure([left, right], 0.1, 10)
-    apart = {"/Left": pose(left.points), "/Right": pose(right.points)}
+    apart = {"/Left": resting_pose(left.points), "/Right": resting_pose(right.points)}
     assert measure.measure(9, apart) == measure.measure(9, apart)
     assert (measure.measure(9, apart).share, measure.measure(9, apart).depth) == (0.0, 0.0)
     # Unit balls whose centers are d = 1.6 apart.  What of one is more than 0.05 inside the other is
     # no farther than 0.95 from its center: a cap of the height 1 - (1 + d^2 - 0.95^2) / 2 d.
     cap = 1.0 - (1.0 + 1.6**2 - 0.95**2) / 3.2
-    sunk = {"/Left": pose(left.points + [2.2, 0, 0]), "/Right": pose(right.points - [2.2, 0, 0])}
+    sunk = {
+        "/Left": resting_pose(left.points + [2.2, 0, 0]),
+        "/Right": resting_pose(right.points - [2.2, 0, 0]),
+    }
     found = measure.measure(9, sunk)
     # 0.005: points are looked at 7e-3 off the surface, the triangles are 0.06 wide.
     assert found.share == pytest.approx(0.5 * cap, abs=0.005)
@@ -45,7 +42,7 @@ def test_what_is_pressed_into_a_neighbor_counts_from_half_a_spacing(by, share):
     spacing = 0.1
     measure = InsideMeasure([lower, upper], spacing, 10)
     sunk = upper.points - [0.0, 1.0 + spacing * by, 0.0]
-    found = measure.measure(9, {"/Lower": pose(lower.points), "/Upper": pose(sunk)})
+    found = measure.measure(9, {"/Lower": resting_pose(lower.points), "/Upper": resting_pose(sunk)})
     # Of the upper box its underside; of the top of the lower one, two triangles, what lies under
     # it.  Pieces count whole: those at the rim are a spacing wide.  So do those of the sides of the
     # upper one that reach down below the top by less than a spacing.
@@ -62,7 +59,7 @@ def test_what_touches_is_not_inside(gap):
     points = np.concatenate([lower.points, upper.points])
     both = surface(points, np.concatenate([lower.triangles, upper.triangles + 8]), path="/Both")
     down = np.repeat([[0.0, 0.0, 0.0], [0.0, 2.0 - gap, 0.0]], 8, axis=0)
-    found = InsideMeasure([both], 0.1, 10).measure(9, {"/Both": pose(points - down)})
+    found = InsideMeasure([both], 0.1, 10).measure(9, {"/Both": resting_pose(points - down)})
     assert (found.share, found.depth) == (0.0, 0.0)
 
 
@@ -73,7 +70,7 @@ def test_a_thin_plate_in_a_ball_is_inside():
     flat = (plate.points - [-0.3, -0.01, -0.3]) * [0.6, 0.02, 0.6] - [0.3, 0.01, 0.3]
     plate = surface(flat + [0.0, 5.0, 0.0], plate.triangles, path="/Plate")
     measure = InsideMeasure([ball, plate], 0.1, 10)
-    found = measure.measure(9, {"/Ball": pose(ball.points), "/Plate": pose(flat)})
+    found = measure.measure(9, {"/Ball": resting_pose(ball.points), "/Plate": resting_pose(flat)})
     mine = 2.0 * 0.6 * 0.6 + 4.0 * 0.6 * 0.02
     assert found.share == pytest.approx(mine / (mine + 4.0 * np.pi), rel=0.01)
 
@@ -81,7 +78,7 @@ def test_a_thin_plate_in_a_ball_is_inside():
 def test_what_overlaps_at_rest_is_the_asset():
     one, other = cube((0.0, 0.0, 0.0), path="/One"), cube((0.5, 0.5, 0.5), path="/Two")
     measure = InsideMeasure([one, other], 0.1, 10)
-    rest = {"/One": pose(one.points), "/Two": pose(other.points)}
+    rest = {"/One": resting_pose(one.points), "/Two": resting_pose(other.points)}
     assert measure.measure(9, rest).share == 0.0
 
 

@@ -18,7 +18,6 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
-import resource
 import subprocess
 import sys
 import tempfile
@@ -29,6 +28,7 @@ from pathlib import Path
 from typing import Any
 
 from tools.acceptance.record import git
+from tools.bench.commands import children_cpu
 
 SIDECARS = (".png", ".jpg", ".jpeg", ".exr", ".mtl", ".bin", ".md", ".txt", ".json")
 BEGIN, END = "<!-- table -->\n", "<!-- end of table -->\n"
@@ -52,12 +52,6 @@ def assets(folder: Path) -> list[Path]:
     """Every file that could be meant to be baked, in order."""
     files = (path for path in folder.rglob("*") if path.is_file())
     return sorted(path for path in files if path.suffix.lower() not in SIDECARS)
-
-
-def cpu() -> float:
-    """[s] that processes of this one have used and ended."""
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime
 
 
 def digests(folder: Path) -> dict[str, str]:
@@ -91,12 +85,12 @@ def bake(
     name = str(path.relative_to(folder))
     target = out / name.replace("/", "_")
     target.mkdir()
-    began = cpu()
+    began = children_cpu()
     status, stdout, stderr = gf_usd(
         "bake", str(path), "-o", f"{target}/", "--events", "-", "--quiet", *options,
         patience=patience,
     )  # fmt: skip
-    seconds = cpu() - began
+    seconds = children_cpu() - began
     events = {event["event"]: event for event in map(json.loads, stdout.splitlines())}
     if status == 0:
         ending, message = _checked(events["finished"], patience)

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import resource
 import subprocess
 import sys
 import tempfile
@@ -22,6 +21,7 @@ from pathlib import Path
 
 from gf_usd.core.materials.laws import LAWS
 from gf_usd.core.materials.presets import find_preset, presets
+from tools.bench.commands import children_cpu
 
 SAMPLES = Path(__file__).resolve().parents[2] / "samples"
 ASSETS = ("sphere.usda", "duck.usda", "creature.usda", "deformed_sphere.usda", "ten_ducks.usda")
@@ -32,16 +32,10 @@ REFUSED = ((3, "cannot carry its own weight"),)
 DROP, FRAMES, FLOWING_FRAMES = "0.02r", 4, 7
 
 
-def cpu() -> float:
-    """[s] that processes of this one have used and ended."""
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime
-
-
 def bake(asset: str, preset: str, particles: int, out: Path) -> tuple[bool, str]:
     """Whether one combination passed, and its result as text."""
     frames = FLOWING_FRAMES if LAWS[find_preset(preset).law].unbounded else FRAMES
-    before = cpu()
+    before = children_cpu()
     done = subprocess.run(
         [
             *(sys.executable, "-m", "gf_usd", "bake", str(SAMPLES / asset), "-m", preset),
@@ -50,7 +44,7 @@ def bake(asset: str, preset: str, particles: int, out: Path) -> tuple[bool, str]
         ],
         capture_output=True, text=True, check=False,
     )  # fmt: skip
-    took = cpu() - before
+    took = children_cpu() - before
     if done.returncode:
         message = done.stderr.strip().replace("\n\n", "; ")
         good = any(done.returncode == status and refusal in message for status, refusal in REFUSED)

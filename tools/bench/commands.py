@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import statistics
 import subprocess
 import sys
@@ -33,6 +34,12 @@ def process(command: Sequence[str], environment: dict[str, str]) -> tuple[float,
         raise SystemExit(f"{' '.join(command)} ended with exit status {child.returncode}")
     unit = 1 if sys.platform == "darwin" else 1024
     return wall, used.ru_utime + used.ru_stime, used.ru_maxrss * unit
+
+
+def children_cpu() -> float:
+    """[s] that processes of this one have used and ended."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def pace() -> float:

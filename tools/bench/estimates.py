@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import resource
 import subprocess
 import sys
 import tempfile
@@ -25,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from tools.bench import estimate_assets
+from tools.bench.commands import children_cpu
 
 ROOT = Path(__file__).resolve().parents[2]
 SAMPLES = ROOT / "samples"
@@ -160,12 +160,6 @@ def make(folder: Path, asset: str) -> Path:
     return path
 
 
-def cpu() -> float:
-    """[s] that processes of this one have used and ended."""
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime
-
-
 def bake(pair: Pair, folder: Path) -> Outcome:
     """One bake, measured."""
     events, out = folder / "events.ndjson", folder / "out"
@@ -175,11 +169,11 @@ def bake(pair: Pair, folder: Path) -> Outcome:
         *("--events", str(events), "-o", f"{out}/", *pair.options),
     ]
     out.mkdir(exist_ok=True)
-    before, began = cpu(), time.perf_counter()
+    before, began = children_cpu(), time.perf_counter()
     done = subprocess.run(
         [sys.executable, "-m", "gf_usd", *arguments], capture_output=True, text=True, check=False
     )
-    took, passed = cpu() - before, time.perf_counter() - began
+    took, passed = children_cpu() - before, time.perf_counter() - began
     if done.returncode == UNSOUND:  # complete, so that its time counts as any other's
         print(f"{pair.name}: {done.stderr.strip()}", file=sys.stderr, flush=True)
     elif done.returncode:

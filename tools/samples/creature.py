@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tools.samples.implicit import ellipsoid, join, meet, round_cone
+from tools.samples.implicit import ellipsoid, join, meet, one_side, round_cone
 from tools.samples.quads import Quads
 from tools.samples.relax import Relaxation, Seam
 from tools.samples.surface_nets import surface_nets
@@ -25,11 +25,6 @@ EYE = np.array([5.0, 47.0, 10.3])
 EYE_RADIUS = 1.75
 NOSE = np.array([0.0, 44.6, 14.3])
 TAIL = ((0.0, 14.0, -8.5), (0.0, 14.5, -18.0), (0.0, 21.5, -26.0))
-
-
-def one_side(p: Floats) -> Floats:
-    """(|x|, y, z): what is drawn at x > 0 appears on both sides."""
-    return np.concatenate([np.abs(p[..., :1]), p[..., 1:]], axis=-1)
 
 
 def trunk(p: Floats) -> Floats:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tools.samples.implicit import ellipsoid, join, lozenge, meet, round_cone, tilt
+from tools.samples.implicit import ellipsoid, join, lozenge, meet, one_side, round_cone, tilt
 from tools.samples.quads import Box, Quads, box_surface, warp
 from tools.samples.relax import MIRROR, Relaxation, Seam, edges_between
 from tools.samples.uv import Atlas, chart, gather, pack
@@ -19,11 +19,6 @@ HEAD_RADIUS = 2.5
 EYE_DIRECTION = np.array([0.62, 0.20, 0.76])
 EYE_CENTER = HEAD_CENTER + (HEAD_RADIUS - 0.37) * EYE_DIRECTION
 EYE_RADIUS = 0.60
-
-
-def one_side(p: Floats) -> Floats:
-    """(|x|, y, z): what is drawn at x > 0 appears on both sides."""
-    return np.concatenate([np.abs(p[..., :1]), p[..., 1:]], axis=-1)
 
 
 def trunk(p: Floats) -> Floats:

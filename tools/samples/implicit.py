@@ -78,3 +78,8 @@ def unit_normals(field: Field, p: Floats) -> Floats:
     """Outward unit normals of the level set through each point."""
     g = gradient(field, p)
     return g / np.linalg.norm(g, axis=-1, keepdims=True)
+
+
+def one_side(p: Floats) -> Floats:
+    """(|x|, y, z): what is drawn at x > 0 appears on both sides."""
+    return np.concatenate([np.abs(p[..., :1]), p[..., 1:]], axis=-1)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from moved_bone import moved_bone
 from scipy import sparse
 from solids import cube, fill, solid
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.stage import Bone, Goals, Skeleton
+from gf_usd.core.stage import Goals, Skeleton
 from gf_usd.geometry.flesh.goals import flesh_goals
 
 BAR = solid(cube((0.0, -0.2, -0.2), (2.0, 0.4, 0.4)))
@@ -18,16 +19,10 @@ TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 SHIFT = np.array([0.3, 0.0, 0.1])
 
 
-def bone(A: Floats, b: Floats) -> Bone:
-    corners = np.vstack([np.zeros(3), np.eye(3)])
-    path = np.stack([corners, corners @ A.T + b])
-    return Bone(name="b", segments=np.zeros((0, 2, 3)), free=(), anchors=corners, path=path)
-
-
 def goals(weights: Floats, painted: dict[str, Floats] | None = None) -> Goals:
     (surface,) = BAR.surfaces
     skeleton = Skeleton(
-        bones=(bone(TURN, SHIFT), bone(np.eye(3), np.zeros(3))),
+        bones=(moved_bone(TURN, SHIFT), moved_bone(np.eye(3), np.zeros(3))),
         weights={surface.path: sparse.csr_matrix(weights)},
     )
     return flesh_goals(

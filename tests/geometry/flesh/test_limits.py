@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from moved_bone import moved_bone
 from scipy import sparse
 
-from gf_usd.core.arrays import Floats
-from gf_usd.core.stage import Bone, Skeleton
+from gf_usd.core.stage import Skeleton
 from gf_usd.geometry.flesh.cores import Core, Cores
 from gf_usd.geometry.flesh.limits import flesh_limits, nearest_bone
 
@@ -22,15 +22,9 @@ def axis(bone: int, start: float, end: float) -> Core:
     return Core(bone=bone, points=line, radius=np.full(5, 0.01))
 
 
-def bone(A: Floats, b: Floats) -> Bone:
-    corners = np.vstack([np.zeros(3), np.eye(3)])
-    path = np.stack([corners, corners @ A.T + b])
-    return Bone(name="b", segments=np.zeros((0, 2, 3)), free=(), anchors=corners, path=path)
-
-
 CORES = Cores(cores=(axis(0, 0.0, 1.0), axis(1, 1.2, 2.0)))
 SKELETON = Skeleton(
-    bones=(bone(TURN, SHIFT), bone(2.0 * np.eye(3), np.zeros(3))),
+    bones=(moved_bone(TURN, SHIFT), moved_bone(2.0 * np.eye(3), np.zeros(3))),
     weights={"/M": sparse.csr_matrix((0, 2))},
 )
 

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pxr import Usd, UsdGeom
+from pxr import Usd
 from small_sources import SOURCES, Source
 from small_stages import EPS, bake, frames_of, open_with, world
+from visible_prims import visible
 
 from gf_usd.core.asset import Asset
 from gf_usd.core.errors import UsageError
@@ -46,13 +47,6 @@ def baked(tmp_path_factory: pytest.TempPathFactory) -> Baked:
         return asset, root, particles, info
 
     return made
-
-
-def visible(stage: Usd.Stage) -> set[str]:
-    """Paths of what is drawn."""
-    walk = stage.Traverse(Usd.TraverseInstanceProxies())
-    gprims = [UsdGeom.Gprim(p) for p in walk if p.IsA(UsdGeom.Gprim)]
-    return {str(g.GetPath()) for g in gprims if g.ComputeVisibility() != "invisible"}
 
 
 @pytest.mark.parametrize("shapes", SUBSETS, ids=",".join)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from flowing import ROW, registered
 from lane_kernels import evaluate, flow, flow_with_loss
-from random_turns import random_turns
+from random_turns import gradients, random_turns
 from von_mises_law import HARDENING
 
 from gf_usd.core.materials.laws import LAWS, YIELD_STRESS
@@ -49,16 +49,6 @@ def _with_a_law_that_flows():
         yield
 
 
-def turns(n: int, seed: int) -> np.ndarray:
-    return random_turns(n, seed)
-
-
-def gradients(n: int, size: float, seed: int = 0) -> np.ndarray:
-    """(n, 3, 3) gradients with logarithmic stretches within a size, turned at random."""
-    s = np.exp(np.random.default_rng(seed).uniform(-size, size, (n, 3)))
-    return (turns(n, seed + 1) * s[:, None, :]) @ turns(n, seed + 2).swapaxes(1, 2)
-
-
 def hardened(n: int, seed: int = 5) -> np.ndarray:
     """(n, 1) equivalent plastic strains from before."""
     return np.random.default_rng(seed).uniform(0.0, 0.1, (n, 1))
@@ -98,7 +88,7 @@ def test_inside_the_yield_surface_nothing_changes_not_a_bit(token, real):
 
 @flowing
 def test_at_rest_nothing_flows_however_turned(token):
-    F, a = turns(16, 3), np.zeros((16, 1))
+    F, a = random_turns(16, 3), np.zeros((16, 1))
     E, after = returned(token, F, a)
     assert np.array_equal(E, F)
     assert np.array_equal(after, a)
@@ -148,7 +138,7 @@ def test_flow_takes_energy(token):
 
 @flowing
 def test_flow_turns_with_the_body_and_with_the_material(token):
-    F, a, Q = gradients(64, 0.3), hardened(64), turns(64, 9)
+    F, a, Q = gradients(64, 0.3), hardened(64), random_turns(64, 9)
     E, after = returned(token, F, a)
     for turned, expected in ((Q @ F, Q @ E), (F @ Q, E @ Q)):
         seen, seen_after = returned(token, turned, a)
@@ -247,7 +237,7 @@ FLAT_OR_INSIDE_OUT = [
 )
 def test_what_is_flat_or_inside_out_is_left_to_the_law(token, real):
     stretches = np.array(FLAT_OR_INSIDE_OUT)
-    F = turns(16, 1) @ (stretches[:, :, None] * turns(16, 2).swapaxes(1, 2))
+    F = random_turns(16, 1) @ (stretches[:, :, None] * random_turns(16, 2).swapaxes(1, 2))
     F = F.astype(real).astype(float)
     weak = {**OWN.get(token, {}), "yield_stress": 1e-3}
     own = {"internal_friction": 0.6} if token == "druckerPrager" else weak
@@ -263,7 +253,7 @@ def test_what_is_flat_or_inside_out_is_left_to_the_law(token, real):
 def test_flow_gives_no_energy_where_the_stress_falls_with_the_stretch():
     # tau = 2 mu (s - 1) s of the corotated law falls below s = 1/2, at constant volume.
     s = np.random.default_rng(0).uniform(0.12, 0.5, (64, 3))
-    F = turns(64, 1) @ (s[:, :, None] * turns(64, 2).swapaxes(1, 2))
+    F = random_turns(64, 1) @ (s[:, :, None] * random_turns(64, 2).swapaxes(1, 2))
     own = {**OWN["vonMisesCorotated"], "yield_stress": YIELD}
     E, after, loss = flow_with_loss("vonMisesCorotated", F, np.zeros((64, 1)), MU, LAM, **own)
     assert (loss >= 0.0).all()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from lane_kernels import evaluate, flow_with_loss
-from random_turns import random_turns
+from random_turns import gradients, log_strains, random_turns
 
 from gf_usd.physics.laws.flowing import drucker_prager
 
@@ -16,21 +16,6 @@ FRICTION, COHESION = 0.6, 0.02
 TIP = COHESION / (FRICTION * BULK)  # tr e at the tip of the cone
 
 
-def turns(n: int, seed: int) -> np.ndarray:
-    return random_turns(n, seed)
-
-
-def gradients(n: int, size: float, seed: int = 0) -> np.ndarray:
-    s = np.exp(np.random.default_rng(seed).uniform(-size, size, (n, 3)))
-    return (turns(n, seed + 1) * s[:, None, :]) @ turns(n, seed + 2).swapaxes(1, 2)
-
-
-def strains(F: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """|dev e| and tr e of (n, 3, 3) gradients."""
-    e = np.log(np.linalg.svd(F)[1])
-    return np.linalg.norm(e - e.mean(1, keepdims=True), axis=1), e.sum(1)
-
-
 def returned(F, loose, real: type = np.float64, friction=FRICTION, cohesion=COHESION):
     return flow_with_loss(
         LAW, F, loose, MU, LAM, real, internal_friction=friction, cohesion=cohesion
@@ -39,7 +24,7 @@ def returned(F, loose, real: type = np.float64, friction=FRICTION, cohesion=COHE
 
 def excess(F: np.ndarray) -> np.ndarray:
     """(n,) [Pa] |s| / sqrt(2) over what the pressure lets it bear."""
-    size, trace = strains(F)
+    size, trace = log_strains(F)
     return np.sqrt(2.0) * MU * size - (COHESION - FRICTION * BULK * trace)
 
 
@@ -60,8 +45,8 @@ def test_inside_the_cone_nothing_changes_not_a_bit(real: type) -> None:
 def test_beyond_it_the_stress_lands_on_the_cone_or_its_tip(real, rounding, size) -> None:
     F = gradients(256, size)
     E, loose, _ = returned(F, np.zeros((256, 1)), real)
-    dev, trace = strains(E)
-    before = strains(F)[1]
+    dev, trace = log_strains(E)
+    before = log_strains(F)[1]
     # Logarithms of stretches by F^T F, some dozen operations, times 2 mu or 3 K.
     landing = 50 * rounding * 3.0 * BULK
     # The series of the near branch leaves 2 |Z|^7 / 7, see `hencky`.
@@ -86,7 +71,7 @@ def test_to_return_twice_is_to_return_once() -> None:
 
 
 def test_it_turns_with_the_body_and_with_the_material() -> None:
-    F, Q = gradients(64, 0.3), turns(64, 9)
+    F, Q = gradients(64, 0.3), random_turns(64, 9)
     loose = np.random.default_rng(3).uniform(0.0, 0.1, (64, 1))
     E, after, _ = returned(F, loose)
     for turned, expected in ((Q @ F, Q @ E), (F @ Q, E @ Q)):
@@ -102,7 +87,7 @@ def test_flow_dissipates_what_the_energy_loses_less_what_it_does_at_second_order
     assert (loss >= 0.0).all()
     before, after = (evaluate(LAW, G, MU, LAM)[0] for G in (F, E))
     assert (after <= before + 1e-15).all()
-    (dev, trace), (left, t) = strains(F), strains(E)
+    (dev, trace), (left, t) = log_strains(F), log_strains(E)
     # psi* - psi - tau : (e* - e) = mu |de|^2 + K/2 (d tr)^2, since psi is quadratic in e
     rest = MU * (dev - left) ** 2 + 0.5 * BULK * (trace - t) ** 2
     np.testing.assert_allclose(before - after - loss, rest, atol=1e-13)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from lane_kernels import compile_anew, evaluate, flow_with_loss
-from random_turns import random_turns
+from random_turns import gradients, log_strains, random_turns
 
 from gf_usd.core.materials.dimensionless import DIMENSIONLESS, G0
 from gf_usd.physics.laws.flowing import fluid
@@ -15,21 +15,6 @@ MU, LAM, ETA, DT = 2.0, 3.0, 0.5, 0.1  # [Pa], [Pa s], [s]
 BULK = LAM + 2.0 / 3.0 * MU
 TENSION = 0.05  # [Pa]
 TIP = -np.log(1.0 - 7.0 * TENSION / BULK) / 7.0  # tr e where p = -TENSION
-
-
-def turns(n: int, seed: int) -> np.ndarray:
-    return random_turns(n, seed)
-
-
-def gradients(n: int, size: float, seed: int = 0) -> np.ndarray:
-    s = np.exp(np.random.default_rng(seed).uniform(-size, size, (n, 3)))
-    return (turns(n, seed + 1) * s[:, None, :]) @ turns(n, seed + 2).swapaxes(1, 2)
-
-
-def strains(F: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """|dev e| and tr e of (n, 3, 3) gradients."""
-    e = np.log(np.linalg.svd(F)[1])
-    return np.linalg.norm(e - e.mean(1, keepdims=True), axis=1), e.sum(1)
 
 
 def returned(F, loose, real: type = np.float64, viscosity=ETA, cavitation=TENSION, dt=DT):
@@ -42,7 +27,7 @@ def returned(F, loose, real: type = np.float64, viscosity=ETA, cavitation=TENSIO
 def test_shear_relaxes_tension_is_cut_and_the_volume_is_kept(real, rounding, size) -> None:
     F = gradients(256, size)
     E, loose, _ = returned(F, np.zeros((256, 1)), real)
-    (dev, trace), (left, t) = strains(F), strains(E)
+    (dev, trace), (left, t) = log_strains(F), log_strains(E)
     # a few dozen operations with stretches, and the series' 2 |Z|^7 / 7: see `hencky`
     near = 50 * rounding + (1e-7 if real is np.float32 else 1e-14)
     np.testing.assert_allclose(left, ETA / (ETA + MU * DT) * dev, atol=near)
@@ -75,7 +60,7 @@ def test_a_flow_at_a_rate_bears_twice_its_viscosity_times_that() -> None:
 def test_without_viscosity_it_bears_no_shear_at_all() -> None:
     for dt in (0.0, DT):
         E, _, loss = returned(gradients(64, 0.2), np.zeros((64, 1)), viscosity=0.0, dt=dt)
-        assert strains(E)[0].max() < 1e-13
+        assert log_strains(E)[0].max() < 1e-13
         assert loss.min() >= 0.0
 
 
@@ -97,7 +82,7 @@ def test_to_return_twice_without_viscosity_is_to_return_once() -> None:
 
 
 def test_it_turns_with_the_body_and_with_the_material() -> None:
-    F, Q = gradients(64, 0.2), turns(64, 9)
+    F, Q = gradients(64, 0.2), random_turns(64, 9)
     loose = np.random.default_rng(3).uniform(0.0, 0.1, (64, 1))
     E, after, _ = returned(F, loose)
     for turned, expected in ((Q @ F, Q @ E), (F @ Q, E @ Q)):
@@ -133,7 +118,7 @@ def test_faults_are_caught(monkeypatch) -> None:
     compile_anew()
     try:
         E, _, _ = returned(1.2 * np.eye(3)[None], np.zeros((1, 1)))
-        assert abs(strains(E)[1][0] - TIP) > 1e-5
+        assert abs(log_strains(E)[1][0] - TIP) > 1e-5
     finally:
         monkeypatch.undo()
         compile_anew()

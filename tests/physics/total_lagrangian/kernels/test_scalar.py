@@ -9,6 +9,7 @@ import pytest
 from launching import WAYS, launched
 from slow_parameters import longest_but
 from solids import ball, preset_material, settings
+from strained_ball import corotated
 
 from gf_usd.core.frames import CONSISTENT, LUMPED
 from gf_usd.core.materials.dimensionless import DIMENSIONLESS
@@ -91,13 +92,6 @@ def first():
 @pytest.mark.parametrize("way", WAYS)
 def test_threads_launches_and_reruns_change_no_bit(first, way, threads, monkeypatch):
     assert np.array_equal(first, launched_drop(way, threads, monkeypatch))
-
-
-def corotated(F, mu, lam):
-    """P = 2 mu (F - R) + lam (J - 1) J F^-T by singular values; (N, 3, 3)."""
-    U, _, Vt = np.linalg.svd(F)
-    J = np.linalg.det(F)[:, None, None]
-    return 2.0 * mu * (F - U @ Vt) + lam * (J - 1.0) * J * np.linalg.inv(F).swapaxes(1, 2)
 
 
 def filtered(stencil, v, m):

@@ -4,16 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from strained_ball import force, made, shear_modulus
+from strained_ball import corotated, force, made, shear_modulus
 
 from gf_usd.physics.total_lagrangian.layout import batch_particles
-
-
-def corotated(F: np.ndarray, mu: float, lam: float) -> np.ndarray:
-    """P = 2 mu (F - R) + lam (J - 1) J F^-T by singular values; (N, 3, 3)."""
-    U, _, Vt = np.linalg.svd(F)
-    J = np.linalg.det(F)[:, None, None]
-    return 2.0 * mu * (F - U @ Vt) + lam * (J - 1.0) * J * np.linalg.inv(F).swapaxes(1, 2)
 
 
 @pytest.mark.slow
