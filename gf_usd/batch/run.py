@@ -95,7 +95,7 @@ def collect_outcomes(
 
 # Bodies with fewer particles are computed by one thread.
 ONE_THREAD = 3_000
-# over the process and the particles, for vertices and textures: with 8000 particles the peak was
+# over the process and the particles, for vertices and textures: with 8000 particles the peak is
 # 1.02 of those two for the duck, 1.01 for 5000 vertices of OBJ, 1.17 for a chair of 9200
 MARGIN = 1.5
 

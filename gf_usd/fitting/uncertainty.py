@@ -33,8 +33,8 @@ MAX_HALF_WIDTH = 0.25
 # finite differences are about 0.1 % of a number or of the radius.
 MIN_NOISE = 0.1
 # Error of finite differences relative to the largest singular value; smaller singular values are
-# set to 0.  For two unknowns with the same effect (density and modulus of a ball) it was 5e-4 and
-# 1.8e-3 at two revisions.
+# set to 0.  For two unknowns with the same effect (density and modulus of a ball) it is 5e-4 and
+# 1.8e-3 in two measurements.
 JACOBIAN_ERROR = 3e-3
 MIN_COMPONENT = 0.3  # of a unit vector: smaller components are not reported
 

@@ -123,7 +123,7 @@ class Solid:
         """(n,) True for points (n, 3) [m] inside any of the surfaces.
 
         Points are sorted along one axis, so that each surface sees only those between its ends:
-        220,000 points against all boxes of 400 balls took nine times as long (measured).
+        220,000 points against all boxes of 400 balls would take nine times as long (measured).
         """
         if len(self.bounds) == 1:
             return self.bounds[0].inside(X)

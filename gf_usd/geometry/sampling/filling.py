@@ -25,8 +25,8 @@ Flags = NDArray[np.bool_]
 LATTICE = 8  # sample points along each axis of a cell whose content is split
 LEAST_SHARE = 0.05  # of a content: a smaller part is merged into the others
 SLIVER = 0.24  # [cells] volume below which a cell is merged into a neighbor
-# The same for thin cells.  With 0.24, square rods of at most 1.5 particles across had zero-energy
-# modes (motions without strain at the particles) and folded (`gf-usd verify --case thin`).
+# The same for thin cells.  With 0.24, square rods of at most 1.5 particles across have zero-energy
+# modes (motions without strain at the particles) and fold (`gf-usd verify --case thin`).
 THIN_SLIVER = 0.005
 FULL_SHARE = 0.99  # [cells] volume of a cell that counts as full
 SAME_SURFACE = 0.05  # [cells] tolerance of mirror symmetry, for differently triangulated polygons
@@ -84,7 +84,7 @@ def thin_cells(content: Content, some: Content, grid: Grid) -> Flags:
     """(n,) which cells of `some` have no full cell of `content` in their 5 x 5 x 5 neighborhood.
 
     A 3 x 3 x 3 neighborhood would include the edges of thick bodies, which are better merged: the
-    error of the slanted bar of `gf-usd verify` with 2000 particles is 1.8 % with it, and 1.4 % now.
+    error of the slanted bar of `gf-usd verify` with 2000 particles is 1.8 % with it, else 1.4 %.
     """
     full = np.sort(grid.key(content.ijk[content.moments[:, 0] > FULL_SHARE]))
     left = np.flatnonzero(some.moments[:, 0] <= FULL_SHARE)  # cells without a full neighbor so far

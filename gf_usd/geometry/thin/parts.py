@@ -47,7 +47,7 @@ CLEAR = 1e-4  # [diagonals of its box] at least, for points on both sides: loose
 VOLUME_POINTS = 20_000  # gives the volume of a region of 1 % of its box to 7 %
 WHOLE = ("empty", "few", "thin")  # kinds of whole shells
 # [spacings^3] volume from which particles in a shell that is not thin are not counted: there are
-# more than `FEW`, and counting them took half of the time (measured).
+# more than `FEW`, and counting them would take half of the time (measured).
 SURE = 8 * FEW
 # A shell that is apart from the others is a speck below these shares of the diagonal of all shells,
 # and of their volume.

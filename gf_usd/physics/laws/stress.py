@@ -8,7 +8,7 @@ A law with plastic flow has an elastic gradient, F = F_e F_p [Simo 1992]: the st
 Before each evaluation F_e and the internal variables a are returned to an admissible state. The
 flow dissipates P(F_e) : (trial F_e - F_e), the work of the final stress. psi(trial F_e) - psi(F_e)
 would overestimate it by the quadratic error of an explicit step: for a block thrown far beyond
-yield the error of the energy balance was 3.5 % of the dissipation, and 0.05 % with the work
+yield the error of the energy balance is 3.5 % of the dissipation, and 0.05 % with the work
 (measured).
 
 Shock viscosity (von Neumann and Richtmyer 1950). An impact faster than the material's wave speed
