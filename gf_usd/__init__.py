@@ -36,7 +36,8 @@ if TYPE_CHECKING:
         UnhealthyError,
         UsageError,
     )
-    from gf_usd.core.frames import Health, Settings
+    from gf_usd.core.frames.frame import Health
+    from gf_usd.core.frames.settings import Settings
     from gf_usd.core.materials.material import Material
     from gf_usd.delivery.deliver import Delivered, DeliveredBody, DeliveredSplats
     from gf_usd.delivery.retime import Retimed
@@ -72,7 +73,7 @@ _HOMES = {
     "Estimate": "gf_usd.fitting.result",
     "Finding": "gf_usd.layers.check.base",
     "FitResult": "gf_usd.fitting.result",
-    "Health": "gf_usd.core.frames",
+    "Health": "gf_usd.core.frames.frame",
     "HealthWarning": "gf_usd.pipeline.health.warnings",
     "Inspection": "gf_usd.pipeline.inspect",
     "Material": "gf_usd.core.materials.material",
@@ -80,7 +81,7 @@ _HOMES = {
     "Reproduced": "gf_usd.fitting.result",
     "Retimed": "gf_usd.delivery.retime",
     "Scene": "gf_usd.api.scene",
-    "Settings": "gf_usd.core.frames",
+    "Settings": "gf_usd.core.frames.settings",
     "Simulation": "gf_usd.api.simulate",
     "SimulationFrame": "gf_usd.api.simulate",
     "VariantResult": "gf_usd.pipeline.result",

@@ -15,13 +15,15 @@ from gf_usd.api.host.guest import guest, require_this_process
 from gf_usd.api.read import Table
 from gf_usd.api.scene import Scene, at_frames
 from gf_usd.core.errors import SolverError, UsageError, counted
-from gf_usd.core.frames import Health
+from gf_usd.core.frames.frame import Health
 from gf_usd.core.units import STRONGEST
 from gf_usd.prepare.options import values
 from gf_usd.prepare.options.texts import FASTEST
 
 if TYPE_CHECKING:
-    from gf_usd.core.frames import Frame, Particles, Settings
+    from gf_usd.core.frames.frame import Frame
+    from gf_usd.core.frames.particles import Particles
+    from gf_usd.core.frames.settings import Settings
     from gf_usd.core.materials.material import Material
 
 Array = NDArray[np.float64]

@@ -24,7 +24,7 @@ from scipy import sparse
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import UsageError
-from gf_usd.core.frames import Pose
+from gf_usd.core.frames.frame import Pose
 from gf_usd.core.matrices import stretch
 from gf_usd.core.neighbors import nearest, operator, slopes, squared_distances
 

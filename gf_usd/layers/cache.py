@@ -21,14 +21,9 @@ from pxr import Sdf, Usd
 from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import Asset
 from gf_usd.core.errors import BakeError
-from gf_usd.core.frames import (
-    BakedFrame,
-    BakeInfo,
-    Choices,
-    Particles,
-    TetAttachment,
-    TetLattice,
-)
+from gf_usd.core.frames.choices import Choices
+from gf_usd.core.frames.frame import BakedFrame, BakeInfo
+from gf_usd.core.frames.particles import Particles, TetAttachment, TetLattice
 from gf_usd.core.materials.laws import LAWS
 from gf_usd.core.units import code_text
 from gf_usd.layers.clips import ClipStore, moving_layer

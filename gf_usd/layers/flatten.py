@@ -22,7 +22,7 @@ from pxr import Ar, Sdf, Tf, Usd, UsdShade, UsdUtils
 from gf_usd.core import PACKAGE_SUFFIX
 from gf_usd.core.asset import Asset
 from gf_usd.core.errors import BakeError
-from gf_usd.core.frames import Choices
+from gf_usd.core.frames.choices import Choices
 from gf_usd.layers.root import RootSummary
 from gf_usd.layers.stage import find_home, open_source
 from gf_usd.layers.variants import hidden

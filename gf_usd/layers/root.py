@@ -30,7 +30,8 @@ from typing import Any
 from pxr import Pcp, Sdf, Usd
 
 from gf_usd.core.asset import Asset
-from gf_usd.core.frames import SOURCE_VARIANT, Choices, Settings
+from gf_usd.core.frames.choices import SOURCE_VARIANT, Choices
+from gf_usd.core.frames.settings import Settings
 from gf_usd.layers.retarget import repeat_edits, restore_rest
 from gf_usd.layers.stage import (
     VARIANT_SET,

@@ -16,7 +16,8 @@ from pxr import Gf, Sdf, Tf, Usd, UsdGeom, Vt
 from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import BAKES, Asset, StageFacts, baked_already, free_name
 from gf_usd.core.errors import BakeError, InputError, UsageError
-from gf_usd.core.frames import Choices, Settings
+from gf_usd.core.frames.choices import Choices
+from gf_usd.core.frames.settings import Settings
 from gf_usd.system.atomic_files import partial_path, same_place
 
 VARIANT_SET = BAKES

@@ -18,8 +18,9 @@ from pxr import Sdf, Usd
 
 from gf_usd.core.asset import Asset
 from gf_usd.core.errors import UsageError
-from gf_usd.core.frames import SOURCE_VARIANT as NONE
-from gf_usd.core.frames import BakeInfo, Choices
+from gf_usd.core.frames.choices import SOURCE_VARIANT as NONE
+from gf_usd.core.frames.choices import Choices
+from gf_usd.core.frames.frame import BakeInfo
 from gf_usd.layers.stage import VARIANT_SET, Home, roots_of
 from gf_usd.layers.tracks.flows import flow_name
 from gf_usd.layers.tracks.health import author_certificate, author_totals, bake_root

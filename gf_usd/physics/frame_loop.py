@@ -20,7 +20,9 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints, corners
 from gf_usd.core.errors import SolverError, counted
-from gf_usd.core.frames import Frame, Health, Particles, Pose, Settings
+from gf_usd.core.frames.frame import Frame, Health, Pose
+from gf_usd.core.frames.particles import Particles
+from gf_usd.core.frames.settings import Settings
 from gf_usd.core.units import length_text
 from gf_usd.physics.contact.floor import FloorContact, pressed_step
 from gf_usd.physics.contact.planes.intervals import Lateness

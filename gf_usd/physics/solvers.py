@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from gf_usd.core.errors import UsageError
-from gf_usd.core.frames import MIXED, Settings
+from gf_usd.core.frames.settings import MIXED, Settings
 from gf_usd.physics.frame_loop import Solver
 
 

@@ -32,7 +32,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import InputError
-from gf_usd.core.frames import Particles
+from gf_usd.core.frames.particles import Particles
 from gf_usd.core.units import length_text
 
 if TYPE_CHECKING:

@@ -30,7 +30,10 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import BakeError, Unfinished, UsageError, counted
-from gf_usd.core.frames import Choices, Health, Particles, Settings
+from gf_usd.core.frames.choices import Choices
+from gf_usd.core.frames.frame import Health
+from gf_usd.core.frames.particles import Particles
+from gf_usd.core.frames.settings import Settings
 from gf_usd.core.materials.material import Material
 from gf_usd.core.stage import Collider
 from gf_usd.pipeline.health.log import health_of

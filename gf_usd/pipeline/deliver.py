@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from gf_usd.core.asset import Asset
 from gf_usd.core.errors import UsageError
-from gf_usd.core.frames import Choices
+from gf_usd.core.frames.choices import Choices
 from gf_usd.pipeline.checkpoint import Resume, discard_checkpoints
 from gf_usd.prepare.outputs import Outputs, Stamp, Stamps, stamp
 from gf_usd.system import file_locks

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from gf_usd.core.asset import Asset
 from gf_usd.core.errors import BakeError, SolverError
-from gf_usd.core.frames import Particles, Settings, sampled
+from gf_usd.core.frames.particles import Particles
+from gf_usd.core.frames.settings import Settings, sampled
 from gf_usd.core.units import code_text
 from gf_usd.pipeline.deliver import Delivery
 from gf_usd.prepare.outputs import report_of_failure

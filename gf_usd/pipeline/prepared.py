@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gf_usd.core.errors import UsageError
-from gf_usd.core.frames import MIXED, sampled, written
+from gf_usd.core.frames.settings import MIXED, sampled, written
 from gf_usd.pipeline.checkpoint import Resume, find_resume, identity
 from gf_usd.pipeline.cost.budget import (
     Cost,

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from gf_usd.core.errors import UnhealthyError
-from gf_usd.core.frames import Settings
+from gf_usd.core.frames.settings import Settings
 from gf_usd.core.materials.material import Material
 from gf_usd.pipeline.health.warnings import ERROR, HealthWarning, warnings_json
 from gf_usd.pipeline.measures.certify import Certificate

@@ -17,7 +17,7 @@ from pathlib import Path
 from gf_usd.core import CACHE_SUFFIX, PACKAGE_SUFFIX, USD_SUFFIXES
 from gf_usd.core.asset import Splats
 from gf_usd.core.errors import BakeError, UsageError
-from gf_usd.core.frames import SOURCE_VARIANT
+from gf_usd.core.frames.choices import SOURCE_VARIANT
 from gf_usd.readers.splats.write import WRITERS
 from gf_usd.system.atomic_files import (
     dropped_on_failure,

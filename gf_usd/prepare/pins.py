@@ -12,7 +12,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Asset
 from gf_usd.core.errors import InputError
-from gf_usd.core.frames import Settings
+from gf_usd.core.frames.settings import Settings
 from gf_usd.core.stage import AttachedPoints, Goals, Pin, Region
 
 if TYPE_CHECKING:

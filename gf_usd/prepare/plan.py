@@ -17,7 +17,9 @@ from gf_usd.core import __version__
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Asset
 from gf_usd.core.errors import BakeError
-from gf_usd.core.frames import Choices, Particles, Settings, SurfaceSamples, TetLattice, written
+from gf_usd.core.frames.choices import Choices
+from gf_usd.core.frames.particles import Particles, SurfaceSamples, TetLattice
+from gf_usd.core.frames.settings import Settings, written
 from gf_usd.core.materials.laws import law_internals
 from gf_usd.core.materials.material import Material
 from gf_usd.core.materials.per_particle import summary

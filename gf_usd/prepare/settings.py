@@ -18,7 +18,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats, triple
 from gf_usd.core.asset import StageFacts, authored_rate, first_time_code
 from gf_usd.core.errors import UsageError
-from gf_usd.core.frames import CONSISTENT, LUMPED, MIXED, Field, Settings, written
+from gf_usd.core.frames.settings import CONSISTENT, LUMPED, MIXED, Field, Settings, written
 from gf_usd.core.materials.dimensionless import FILTER_RATE, G0, SHOT_LENGTH, time_scale
 from gf_usd.core.stage import StageSpec
 from gf_usd.core.units import code_text, length_text

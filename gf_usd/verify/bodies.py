@@ -13,7 +13,8 @@ import trimesh
 from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import Asset, StageFacts, Surface
 from gf_usd.core.errors import SolverError
-from gf_usd.core.frames import Particles, Settings, SurfaceSamples
+from gf_usd.core.frames.particles import Particles, SurfaceSamples
+from gf_usd.core.frames.settings import Settings
 from gf_usd.core.materials.dimensionless import DIMENSIONLESS
 from gf_usd.core.materials.laws import LAWS
 from gf_usd.core.materials.material import Material

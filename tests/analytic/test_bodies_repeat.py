@@ -9,7 +9,7 @@ from launching import WAYS, launched
 from slow_parameters import slow_but
 from solids import sphere, surface
 
-from gf_usd.core.frames import Health
+from gf_usd.core.frames.frame import Health
 from gf_usd.physics.contact.active import ActiveSamples
 
 

@@ -10,7 +10,7 @@ from law_references import ENERGIES
 from slow_parameters import longest_but
 from solids import cube, fill, preset_material, settings, solid
 
-from gf_usd.core.frames import Particles
+from gf_usd.core.frames.particles import Particles
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 
 MAPS = {

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from solids import preset_material, settings, solid, sphere
 
-from gf_usd.core.frames import SurfaceSamples
+from gf_usd.core.frames.particles import SurfaceSamples
 from gf_usd.core.neighbors import slopes
 from gf_usd.geometry.sampling.particles import sample_solid
 from gf_usd.physics.frame_loop import GAIN

@@ -12,7 +12,8 @@ from slow_parameters import longest_but, slow_but
 from von_mises_law import HARDENING
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.frames import Particles, Settings
+from gf_usd.core.frames.particles import Particles
+from gf_usd.core.frames.settings import Settings
 from gf_usd.core.materials.material import Material
 from gf_usd.physics.frame_loop import Solver
 from gf_usd.physics.laws.registry import GRADIENT

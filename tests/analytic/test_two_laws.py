@@ -9,7 +9,8 @@ import pytest
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import UsageError
-from gf_usd.core.frames import Frame, Particles
+from gf_usd.core.frames.frame import Frame
+from gf_usd.core.frames.particles import Particles
 from gf_usd.core.materials.material import Material
 from gf_usd.physics.solvers import make_solver
 from gf_usd.verify.bodies import block, elastic, settings

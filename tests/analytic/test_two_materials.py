@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh_tridiagonal
 
-from gf_usd.core.frames import Particles
+from gf_usd.core.frames.particles import Particles
 from gf_usd.core.materials.per_particle import of_materials
 from gf_usd.geometry.connected.bodies import smoothstep
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian

@@ -9,7 +9,7 @@ import pytest
 from small_bakes import BAKE, ESTIMATE, HEALTH, REPORT, RESULT, SMALL, names, strict
 
 import gf_usd as package
-from gf_usd.core.frames import Settings
+from gf_usd.core.frames.settings import Settings
 from gf_usd.prepare.options.table import OPTIONS
 
 

@@ -9,8 +9,8 @@ import pytest
 from pxr import Usd
 from small_bakes import SMALL, names, strict
 
-from gf_usd.core import frames
 from gf_usd.core.errors import SolverError
+from gf_usd.core.frames import choices
 from gf_usd.layers.check.run import check_file
 
 STEM = "block.rubber"
@@ -89,8 +89,8 @@ def test_a_failure_keeps_the_old_bake_and_shows_its_own(
 def test_a_large_cache_is_split_unasked(
     gf_usd, here: Path, block: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(frames, "LARGE", 50_000)
-    monkeypatch.setattr(frames, "CLIP", 60_000)
+    monkeypatch.setattr(choices, "LARGE", 50_000)
+    monkeypatch.setattr(choices, "CLIP", 60_000)
     done = gf_usd("bake", block, *SMALL)
     assert done.status == 0
     assert "kB, is split into value clips of 2 frames: --clip-frames 0 keeps" in done.err

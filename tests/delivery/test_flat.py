@@ -7,7 +7,7 @@ from pathlib import Path
 from pxr import Usd
 from small_stages import CUBE, asset_of, bake, write
 
-from gf_usd.core.frames import Choices
+from gf_usd.core.frames.choices import Choices
 from gf_usd.delivery.deliver import deliver
 from gf_usd.layers.flatten import write_flat
 from gf_usd.system.atomic_files import publish

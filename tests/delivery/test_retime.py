@@ -12,7 +12,7 @@ from small_sources import INSTANCES, MOVING, PLAIN, SEVERAL_ROOTS, SKINNED, Sour
 from small_stages import CUBE, CUBE_POINTS, EPS, bake, motion, open_with, world
 
 from gf_usd.core.errors import InputError, UsageError
-from gf_usd.core.frames import Choices
+from gf_usd.core.frames.choices import Choices
 from gf_usd.delivery.resample import sample_as_played
 from gf_usd.delivery.retime import Retimed, retime
 from gf_usd.layers.check.run import check_file

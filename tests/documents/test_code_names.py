@@ -44,5 +44,5 @@ def test_the_code_that_a_page_names_exists(page: Path) -> None:
 
 
 def test_what_does_not_exist_is_noticed() -> None:
-    text = "`core/frames.py` `Frame`, `frames.py` `Fraem`, `core/farmes.py`, `physics/laws/NAME.py`"
-    assert list(missing(text)) == ["core/farmes.py", "frames.py Fraem"]
+    text = "`frames/frame.py` `Frame`, `frame.py` `Fraem`, `core/farmes.py`, `physics/laws/NAME.py`"
+    assert list(missing(text)) == ["core/farmes.py", "frame.py Fraem"]

@@ -6,7 +6,7 @@ import re
 
 from small_bakes import FRAME, HEALTH, REPORT
 
-from gf_usd.core.frames import Health
+from gf_usd.core.frames.frame import Health
 from tools.documents import ROOT
 
 

@@ -12,7 +12,7 @@ from embedded import pose
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import UsageError
-from gf_usd.core.frames import Pose
+from gf_usd.core.frames.frame import Pose
 from gf_usd.geometry.skinning import SKINS, InverseDistance, MeshSkin, PaperSkin, make_skin
 from gf_usd.physics.grid.reference.build import build_stencil
 from gf_usd.prepare.options.request import Request

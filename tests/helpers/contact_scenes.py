@@ -10,7 +10,7 @@ import numpy as np
 from solids import preset_material, settings, solid, surface
 
 from gf_usd.core.asset import Surface
-from gf_usd.core.frames import Frame
+from gf_usd.core.frames.frame import Frame
 from gf_usd.core.stage import Collider, ContactSetup, PhysicsMaterialSpec, Pin
 from gf_usd.geometry.connected.bodies import find_bodies
 from gf_usd.geometry.sampling.contact_samples import sample_surface

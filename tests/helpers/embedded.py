@@ -3,7 +3,7 @@
 import numpy as np
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.frames import Pose
+from gf_usd.core.frames.frame import Pose
 from gf_usd.physics.grid.embedding import SplineRows, embedded_pose
 from gf_usd.physics.grid.reference.stencil import Rows
 

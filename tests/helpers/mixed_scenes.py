@@ -10,7 +10,7 @@ import numpy as np
 from solids import settings, solid
 
 from gf_usd.core.asset import Surface
-from gf_usd.core.frames import MIXED
+from gf_usd.core.frames.settings import MIXED
 from gf_usd.core.materials.laws import LAWS
 from gf_usd.core.materials.presets import find_preset
 from gf_usd.core.stage import Collider, ContactSetup

@@ -6,7 +6,7 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
-from gf_usd.core.frames import Health
+from gf_usd.core.frames.frame import Health
 
 SAMPLES = Path(__file__).parents[2] / "samples"
 SMALL = ("--particles", "300", "--frames", "6")

@@ -9,7 +9,8 @@ from small_stages import CUBE, asset_of, frames_of, info_of, particles_of, write
 from small_stages import CUBE_POINTS as POINTS
 
 from gf_usd.core.asset import Asset
-from gf_usd.core.frames import BakedFrame, BakeInfo, Particles
+from gf_usd.core.frames.frame import BakedFrame, BakeInfo
+from gf_usd.core.frames.particles import Particles
 
 Y_M = 'upAxis = "Y"\n metersPerUnit = 1'
 Z_CM = 'upAxis = "Z"\n metersPerUnit = 0.01'

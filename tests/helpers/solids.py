@@ -9,7 +9,9 @@ import numpy as np
 import trimesh
 
 from gf_usd.core.asset import Asset, StageFacts, Surface
-from gf_usd.core.frames import Particles, Pose, Settings, SurfaceSamples
+from gf_usd.core.frames.frame import Pose
+from gf_usd.core.frames.particles import Particles, SurfaceSamples
+from gf_usd.core.frames.settings import Settings
 from gf_usd.core.materials.dimensionless import DIMENSIONLESS
 from gf_usd.core.materials.material import Material
 from gf_usd.core.mesh.measures import signed_volume

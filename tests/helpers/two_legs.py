@@ -7,7 +7,7 @@ from contact_scenes import bricks
 from solids import solid, surface
 
 from gf_usd.core.asset import Surface
-from gf_usd.core.frames import SurfaceSamples
+from gf_usd.core.frames.particles import SurfaceSamples
 from gf_usd.core.stage import Skin
 from gf_usd.geometry.sampling.contact_samples import sample_surface
 

@@ -12,7 +12,8 @@ from small_sources import PLAIN, SOURCES, Source
 from small_stages import RUBBER, bake, frames_of, info_of, particles_of, world, write_cache
 
 from gf_usd.core.asset import Asset
-from gf_usd.core.frames import Choices, Health
+from gf_usd.core.frames.choices import Choices
+from gf_usd.core.frames.frame import Health
 from gf_usd.core.units import Precision
 from gf_usd.layers.cache import CacheWriter
 from gf_usd.layers.check.run import check_file

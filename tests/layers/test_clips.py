@@ -20,7 +20,7 @@ from small_stages import (
 )
 
 from gf_usd.core.asset import Asset
-from gf_usd.core.frames import CLIP, LARGE, Choices, clip_length
+from gf_usd.core.frames.choices import CLIP, LARGE, Choices, clip_length
 from gf_usd.layers.cache import CacheWriter
 from gf_usd.layers.check.run import check_file
 from gf_usd.layers.clips import clips_of, folder_of, remove_clips

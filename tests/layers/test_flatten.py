@@ -17,7 +17,7 @@ from visible_prims import visible
 
 from gf_usd.core.asset import Asset
 from gf_usd.core.errors import BakeError
-from gf_usd.core.frames import Choices
+from gf_usd.core.frames.choices import Choices
 from gf_usd.layers.check.run import check_file
 from gf_usd.layers.flatten import write_flat
 from gf_usd.system.atomic_files import partial_path, publish

@@ -12,7 +12,7 @@ import pytest
 from solids import ball, preset_material, settings
 
 from gf_usd.core.errors import BakeError, SolverError
-from gf_usd.core.frames import Frame, Health, Pose
+from gf_usd.core.frames.frame import Frame, Health, Pose
 from gf_usd.core.materials.dimensionless import FILTER_RATE, time_scale
 from gf_usd.physics.frame_loop import CALM_FRAMES, ESCAPE, GAIN, GROWTH, RETRIES, Guard
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gf_usd.core.frames import Pose
+from gf_usd.core.frames.frame import Pose
 from gf_usd.core.matrices import matrix_from_quaternion
 from gf_usd.physics.output.gaussians import GaussianTrack
 from gf_usd.physics.per_particle import nearest_rotation, strains

@@ -10,7 +10,7 @@ import pytest
 from contact_scenes import contact_solver
 from solids import cube, fill, preset_material, settings, solid
 
-from gf_usd.core.frames import Particles
+from gf_usd.core.frames.particles import Particles
 from gf_usd.core.materials.material import Material
 from gf_usd.core.stage import Pin
 from gf_usd.physics.time_step import StableStep, strained_step

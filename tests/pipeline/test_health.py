@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from solids import settings
 
-from gf_usd.core.frames import Health, Settings
+from gf_usd.core.frames.frame import Health
+from gf_usd.core.frames.settings import Settings
 from gf_usd.pipeline.health.log import HealthLog, merged_health, restitution
 
 G = 9.81

@@ -10,7 +10,7 @@ import pytest
 from solids import ball, preset_material, settings
 
 from gf_usd.core.errors import UnhealthyError
-from gf_usd.core.frames import Health
+from gf_usd.core.frames.frame import Health
 from gf_usd.pipeline.health import warnings as rules
 from gf_usd.pipeline.health.log import HealthLog
 from gf_usd.pipeline.health.warnings import RULES, health_warnings

@@ -8,7 +8,7 @@ import pytest
 from small_bakes import BLOCK
 
 from gf_usd.core.errors import GfUsdError, UsageError
-from gf_usd.core.frames import Field
+from gf_usd.core.frames.settings import Field
 from gf_usd.prepare.options.fields import in_meters, parse_field, read_gravity_keys
 from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.prepare import prepare

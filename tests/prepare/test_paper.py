@@ -8,7 +8,7 @@ import pytest
 from solids import settings
 
 from gf_usd.core.errors import UsageError
-from gf_usd.core.frames import Settings
+from gf_usd.core.frames.settings import Settings
 from gf_usd.core.materials.dimensionless import DIMENSIONLESS, G0
 from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.options.texts import NONE

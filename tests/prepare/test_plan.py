@@ -19,7 +19,7 @@ from planned import at
 from solids import asset, facts, fill, preset_material, settings, solid, sphere
 
 import gf_usd
-from gf_usd.core.frames import Settings
+from gf_usd.core.frames.settings import Settings
 from gf_usd.core.materials.material import Material
 from gf_usd.pipeline.prepared import Prepared, prepare
 from gf_usd.pipeline.result import BakeResult, VariantResult

@@ -10,7 +10,7 @@ from solids import facts
 
 from gf_usd.core.asset import StageFacts
 from gf_usd.core.errors import UsageError
-from gf_usd.core.frames import Settings
+from gf_usd.core.frames.settings import Settings
 from gf_usd.core.units import StageUnits
 from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.options.texts import parse_drop

@@ -11,7 +11,7 @@ from physics_stages import SLIDE, head, mesh, prim
 from planned import noted, planner
 
 import gf_usd
-from gf_usd.core.frames import written
+from gf_usd.core.frames.settings import written
 from gf_usd.prepare.plan import Plan
 from gf_usd.prepare.settings import REST_WORK
 

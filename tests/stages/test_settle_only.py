@@ -13,7 +13,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdLux
 
 import gf_usd
 from gf_usd.core.errors import BakeError, UsageError
-from gf_usd.core.frames import Health
+from gf_usd.core.frames.frame import Health
 from gf_usd.core.materials.dimensionless import G0, time_scale
 from gf_usd.core.stage import Collider
 from gf_usd.core.units import bytes_text
@@ -346,7 +346,7 @@ def test_the_cache_of_a_shot_is_split_by_its_own_size(monkeypatch, clips: bool) 
     whole = gf_usd.inspect(SPHERE, **FEW).plan
     shot = shot_frames(whole.settings.frames) * whole.frame_bytes
     monkeypatch.setattr("gf_usd.pipeline.prepared.REST_WORK", 100.0)
-    monkeypatch.setattr("gf_usd.core.frames.LARGE", (0.5 if clips else 2.0) * shot)
+    monkeypatch.setattr("gf_usd.core.frames.choices.LARGE", (0.5 if clips else 2.0) * shot)
     plan = gf_usd.inspect(SPHERE, **FEW).plan
     assert bool(plan.choices.clip_frames) == clips
     notes = [note for note in plan.notes if "is split into value clips" in note]

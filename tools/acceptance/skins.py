@@ -24,7 +24,8 @@ import numpy as np
 from scipy import sparse
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.frames import Particles, Pose
+from gf_usd.core.frames.frame import Pose
+from gf_usd.core.frames.particles import Particles
 from gf_usd.geometry.sampling.particles import sample_solid
 from gf_usd.geometry.skinning import NEIGHBORS, SKINS, InverseDistance, Skin
 from gf_usd.geometry.solid import build_solid

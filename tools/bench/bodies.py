@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from gf_usd.core.asset import Asset, StageFacts
-from gf_usd.core.frames import Settings
+from gf_usd.core.frames.settings import Settings
 from gf_usd.core.materials.dimensionless import DIMENSIONLESS
 from gf_usd.core.stage import ContactSetup
 from gf_usd.core.units import StageUnits

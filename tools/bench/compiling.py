@@ -18,7 +18,7 @@ import time
 
 import numpy as np
 
-from gf_usd.core.frames import SurfaceSamples
+from gf_usd.core.frames.particles import SurfaceSamples
 from gf_usd.core.materials.physical import PHYSICAL
 from gf_usd.system import taichi_runtime
 from gf_usd.verify.bodies import block, settings

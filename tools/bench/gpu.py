@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from gf_usd.core.frames import Settings
+from gf_usd.core.frames.settings import Settings
 from gf_usd.core.materials.dimensionless import DIMENSIONLESS
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from tools.bench.solver import ball, twist

@@ -17,7 +17,7 @@ from statistics import median
 
 import numpy as np
 
-from gf_usd.core.frames import Settings
+from gf_usd.core.frames.settings import Settings
 from gf_usd.core.materials.dimensionless import DIMENSIONLESS
 from gf_usd.core.materials.laws import LAWS
 from gf_usd.core.materials.material import Material

@@ -21,16 +21,10 @@ from pathlib import Path
 import numpy as np
 
 from gf_usd.core.asset import Asset
-from gf_usd.core.frames import (
-    BakedFrame,
-    BakeInfo,
-    Choices,
-    GaussianPose,
-    Health,
-    MeshPose,
-    Particles,
-    Settings,
-)
+from gf_usd.core.frames.choices import Choices
+from gf_usd.core.frames.frame import BakedFrame, BakeInfo, GaussianPose, Health, MeshPose
+from gf_usd.core.frames.particles import Particles
+from gf_usd.core.frames.settings import Settings
 from gf_usd.core.materials.material import Material
 from gf_usd.layers.cache import CacheWriter
 from gf_usd.readers import read_asset

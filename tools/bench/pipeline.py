@@ -87,7 +87,7 @@ def sphere(path: Path, points: int) -> None:
 
 def measure(folder: Path, particles: int, points: int, frames: int) -> Stages:
     """Bake a ball, stage by stage."""
-    from gf_usd.core.frames import BakeInfo
+    from gf_usd.core.frames.frame import BakeInfo
     from gf_usd.layers.cache import CacheWriter
     from gf_usd.pipeline.prepared import prepare
     from gf_usd.pipeline.run.parts import frame_builder, splat_deformer

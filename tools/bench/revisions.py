@@ -34,7 +34,7 @@ CHILD = """
 import sys, time
 from dataclasses import replace
 import numpy as np
-from gf_usd.core.frames import Settings
+from gf_usd import Settings
 from gf_usd.core.materials.dimensionless import DIMENSIONLESS
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from tools.bench.solver import ball, twist

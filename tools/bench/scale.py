@@ -64,7 +64,7 @@ def particles(size: int) -> Row:
 def bodies(size: int) -> Row:
     """So many balls that fly apart from each other, over nothing: solver alone."""
     from gf_usd.core.asset import Asset, StageFacts
-    from gf_usd.core.frames import Settings
+    from gf_usd.core.frames.settings import Settings
     from gf_usd.core.materials.dimensionless import DIMENSIONLESS
     from gf_usd.core.stage import ContactSetup
     from gf_usd.core.units import StageUnits

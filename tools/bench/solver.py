@@ -8,7 +8,8 @@ import time
 import numpy as np
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.frames import Particles, Settings
+from gf_usd.core.frames.particles import Particles
+from gf_usd.core.frames.settings import Settings
 from gf_usd.core.materials.dimensionless import DIMENSIONLESS
 from gf_usd.physics.total_lagrangian import launch, solver
 from gf_usd.system.resources import cores

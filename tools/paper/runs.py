@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from gf_usd.core.frames import Frame
+from gf_usd.core.frames.frame import Frame
 from gf_usd.core.matrices import matrix_from_quaternion
 from gf_usd.core.neighbors import slopes
 from gf_usd.geometry.skinning import MeshSkin

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.frames import Particles
+from gf_usd.core.frames.particles import Particles
 from gf_usd.core.materials.laws import LAWS, law_parameters
 from gf_usd.core.materials.material import Material, young_poisson
 

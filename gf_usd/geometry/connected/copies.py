@@ -25,7 +25,7 @@ import numpy as np
 from scipy.sparse import coo_matrix
 
 from gf_usd.core.arrays import Floats, Ints, cross
-from gf_usd.core.frames import CellCopies, Particles
+from gf_usd.core.frames.particles import CellCopies, Particles
 from gf_usd.core.neighbors import components, kd_tree, node_copies
 from gf_usd.geometry.connected.bodies import TOUCHING, spread
 from gf_usd.geometry.connected.patches import Patches, Skins, find_patches, found

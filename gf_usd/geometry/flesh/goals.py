@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from gf_usd.core.arrays import Floats, Ints, cross
-from gf_usd.core.frames import SurfaceSamples
+from gf_usd.core.frames.particles import SurfaceSamples
 from gf_usd.core.neighbors import nearest
 from gf_usd.core.stage import FleshLimits, Goals, Skeleton
 from gf_usd.geometry.flesh.linear_blend import bone_transforms, skinned

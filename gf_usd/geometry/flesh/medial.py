@@ -26,7 +26,7 @@ from scipy.spatial.distance import cdist
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Surface
 from gf_usd.core.errors import InputError, listed_paths
-from gf_usd.core.frames import SurfaceSamples
+from gf_usd.core.frames.particles import SurfaceSamples
 from gf_usd.core.matrices import signed_polar
 from gf_usd.core.neighbors import nearest
 from gf_usd.core.stage import Bone, SampledSkin, Skeleton

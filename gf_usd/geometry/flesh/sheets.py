@@ -26,7 +26,7 @@ from scipy.sparse import csr_matrix
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import Surface
-from gf_usd.core.frames import Pose
+from gf_usd.core.frames.frame import Pose
 from gf_usd.core.mesh.measures import areas
 from gf_usd.core.stage import Skeleton
 from gf_usd.geometry.flesh.goals import on_skin

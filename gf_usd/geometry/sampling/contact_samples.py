@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats, Ints, cross
 from gf_usd.core.arrays import corners as outermost
-from gf_usd.core.frames import SurfaceSamples
+from gf_usd.core.frames.particles import SurfaceSamples
 from gf_usd.core.mesh.topology import first_equal, used_points
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.geometry.sampling.mirror import SAME, mirror_axes

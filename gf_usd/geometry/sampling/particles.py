@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import InputError
-from gf_usd.core.frames import Particles
+from gf_usd.core.frames.particles import Particles
 from gf_usd.core.units import length_text, volume_text
 from gf_usd.geometry.sampling.content import Grid
 from gf_usd.geometry.sampling.filling import Filling, fill_cells

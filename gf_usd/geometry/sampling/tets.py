@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.frames import CellCopies, Particles, SurfaceSamples, TetLattice
+from gf_usd.core.frames.particles import CellCopies, Particles, SurfaceSamples, TetLattice
 from gf_usd.core.neighbors import components
 
 CELL = 2.0  # edge of a cell over the particle spacing

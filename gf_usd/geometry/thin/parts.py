@@ -18,7 +18,7 @@ import numpy as np
 from scipy.sparse import coo_matrix
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.frames import Particles, SurfaceSamples
+from gf_usd.core.frames.particles import Particles, SurfaceSamples
 from gf_usd.core.mesh.measures import areas
 from gf_usd.core.neighbors import components, kd_tree
 from gf_usd.geometry import winding

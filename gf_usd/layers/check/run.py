@@ -14,7 +14,7 @@ from pxr import Ar, Sdf, Tf, Usd
 
 from gf_usd.core import CACHE_SUFFIX, PACKAGE_SUFFIX
 from gf_usd.core.errors import InputError
-from gf_usd.core.frames import SOURCE_VARIANT
+from gf_usd.core.frames.choices import SOURCE_VARIANT
 from gf_usd.layers.check.base import RULES, Finding, Rule, Skip, reason, unreadable
 from gf_usd.layers.check.read import prims
 from gf_usd.layers.check.structure import TIME_CODES

@@ -17,7 +17,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdShade, Vt
 
 from gf_usd.core.arrays import Floats, corners
 from gf_usd.core.asset import Asset
-from gf_usd.core.frames import SurfacePose
+from gf_usd.core.frames.frame import SurfacePose
 from gf_usd.layers.stage import box, f32
 from gf_usd.layers.tracks.meshes import check
 from gf_usd.layers.tracks.sparse import Saved

@@ -18,7 +18,9 @@ from pxr import Sdf, Usd, UsdVol, Vt
 
 from gf_usd.core.arrays import Floats, columns, corners
 from gf_usd.core.errors import BakeError
-from gf_usd.core.frames import GaussianPose, Particles, Settings
+from gf_usd.core.frames.frame import GaussianPose
+from gf_usd.core.frames.particles import Particles
+from gf_usd.core.frames.settings import Settings
 from gf_usd.core.materials.laws import law_internals
 from gf_usd.core.matrices import rotation_rows
 from gf_usd.core.units import StageUnits, code_text, percent_text

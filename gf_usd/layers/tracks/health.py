@@ -13,7 +13,7 @@ from typing import Any
 from pxr import Gf, Sdf, Usd, Vt
 
 from gf_usd.core.asset import Asset
-from gf_usd.core.frames import Health
+from gf_usd.core.frames.frame import Health
 from gf_usd.core.units import StageUnits
 from gf_usd.layers.stage import Home, roots_of
 from gf_usd.system import usd_schema

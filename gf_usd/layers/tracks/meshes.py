@@ -23,7 +23,7 @@ from scipy.sparse import csr_matrix
 from gf_usd.core.arrays import Floats, Ints, corners, cross
 from gf_usd.core.asset import Surface
 from gf_usd.core.errors import BakeError
-from gf_usd.core.frames import MeshPose
+from gf_usd.core.frames.frame import MeshPose
 from gf_usd.core.units import code_text
 from gf_usd.layers.space import Space
 from gf_usd.layers.stage import Clock, author_bind_pose, f32

@@ -17,16 +17,9 @@ from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Asset
-from gf_usd.core.frames import (
-    BakeInfo,
-    Choices,
-    GaussianPose,
-    MeshPose,
-    Particles,
-    SurfacePose,
-    TetAttachment,
-    TetLattice,
-)
+from gf_usd.core.frames.choices import Choices
+from gf_usd.core.frames.frame import BakeInfo, GaussianPose, MeshPose, SurfacePose
+from gf_usd.core.frames.particles import Particles, TetAttachment, TetLattice
 from gf_usd.core.materials.laws import law_parameters
 from gf_usd.core.materials.per_particle import moved_as_flow, spread
 from gf_usd.layers.materials import bind, bind_points, write_materials

@@ -8,7 +8,7 @@ import numpy as np
 from pxr import Sdf, Usd, UsdGeom, Vt
 
 from gf_usd.core.arrays import Ints, corners
-from gf_usd.core.frames import Particles
+from gf_usd.core.frames.particles import Particles
 from gf_usd.layers.stage import box, f32
 
 

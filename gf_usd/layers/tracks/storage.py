@@ -14,7 +14,8 @@ import numpy as np
 from pxr import Sdf
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.frames import Particles, Settings
+from gf_usd.core.frames.particles import Particles
+from gf_usd.core.frames.settings import Settings
 from gf_usd.core.units import Precision, bytes_text, length_text, percent_text
 from gf_usd.layers.tracks.accuracy import (
     BOX,

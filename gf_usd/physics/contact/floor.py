@@ -25,7 +25,7 @@ import numpy as np
 from scipy import sparse
 
 from gf_usd.core.arrays import Floats, Ints, nonzero_rows
-from gf_usd.core.frames import SurfaceSamples
+from gf_usd.core.frames.particles import SurfaceSamples
 from gf_usd.physics.grid import spectrum
 from gf_usd.physics.grid.mass import NodalMass, lumped_mass
 from gf_usd.physics.grid.reference.stencil import Rows, Stencil

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints, Segments
-from gf_usd.core.frames import SurfaceSamples
+from gf_usd.core.frames.particles import SurfaceSamples
 from gf_usd.physics.contact.detection.broad_phase import BroadPhase
 from gf_usd.physics.contact.detection.narrow_phase import (
     CLOSER,

@@ -23,7 +23,9 @@ from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import UsageError
-from gf_usd.core.frames import Frame, Health, Particles, Settings, SurfaceSamples
+from gf_usd.core.frames.frame import Frame, Health
+from gf_usd.core.frames.particles import Particles, SurfaceSamples
+from gf_usd.core.frames.settings import Settings
 from gf_usd.core.materials.conversion import STRESS
 from gf_usd.core.materials.laws import law_internals
 from gf_usd.core.materials.material import Material

@@ -10,7 +10,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import InputError
-from gf_usd.core.frames import CellCopies, Particles, SurfaceSamples
+from gf_usd.core.frames.particles import CellCopies, Particles, SurfaceSamples
 from gf_usd.core.materials.conversion import Conversion
 from gf_usd.core.materials.material import Material
 from gf_usd.core.materials.per_particle import convertible, unbounded

@@ -14,7 +14,9 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import UsageError
-from gf_usd.core.frames import Frame, Health, Particles, Pose, Settings, SurfaceSamples
+from gf_usd.core.frames.frame import Frame, Health, Pose
+from gf_usd.core.frames.particles import Particles, SurfaceSamples
+from gf_usd.core.frames.settings import Settings
 from gf_usd.core.materials.dimensionless import G0
 from gf_usd.core.materials.material import Material
 from gf_usd.core.stage import ContactSetup, Goals, Pin

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.frames import Particles
+from gf_usd.core.frames.particles import Particles
 from gf_usd.core.neighbors import nearest
 
 

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.frames import CellCopies
+from gf_usd.core.frames.particles import CellCopies
 from gf_usd.core.neighbors import STENCIL, components, kd_tree, node_copies
 
 ZONE = 4.0  # [cells] distance from a node with copies beyond which no fit uses it

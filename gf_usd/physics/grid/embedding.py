@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from gf_usd.core.arrays import Floats, Ints, lengths
-from gf_usd.core.frames import Pose
+from gf_usd.core.frames.frame import Pose
 from gf_usd.core.matrices import cofactors, entries
 from gf_usd.physics.grid.reference.stencil import CHUNK, OFFSETS, Rows, renumbered, weights
 from gf_usd.physics.taichi_arrays import aligned, widened

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.frames import Field, Settings
+from gf_usd.core.frames.settings import Field, Settings
 
 WAVES = 32  # N of the noise
 

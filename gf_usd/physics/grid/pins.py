@@ -57,7 +57,7 @@ from scipy import sparse
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import InputError
-from gf_usd.core.frames import Pose
+from gf_usd.core.frames.frame import Pose
 from gf_usd.core.matrices import signed_polar
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.core.stage import Pin

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import SplatPose, Splats
-from gf_usd.core.frames import GaussianPose, Pose
+from gf_usd.core.frames.frame import GaussianPose, Pose
 from gf_usd.core.matrices import matrix_from_quaternion
 from gf_usd.physics.output.gaussian_kernels import carry, from_lanes, to_lanes
 from gf_usd.physics.per_particle import nearest_rotation, rotated

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gf_usd.core.arrays import Floats, cross, row_dots, triple
-from gf_usd.core.frames import Health
+from gf_usd.core.frames.frame import Health
 from gf_usd.physics import taichi_arrays
 from gf_usd.physics.laws.registry import ParticleLaws
 from gf_usd.physics.total_lagrangian import layout

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.frames import LUMPED, Settings
+from gf_usd.core.frames.settings import LUMPED, Settings
 from gf_usd.physics.total_lagrangian import layout
 
 LOW, HIGH, CAP, PER_H, CONVERGED = range(5)  # indices in the array `numbers`

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.frames import AT_REST
+from gf_usd.core.frames.frame import AT_REST
 from gf_usd.core.materials.dimensionless import G0, time_scale
 from gf_usd.physics.contact.floor import pressed_step
 from gf_usd.physics.contact.pairs import BodyContact

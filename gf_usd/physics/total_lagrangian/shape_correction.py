@@ -26,7 +26,7 @@ from scipy import sparse
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import UsageError
-from gf_usd.core.frames import Settings
+from gf_usd.core.frames.settings import Settings
 from gf_usd.core.neighbors import nearest, operator, slopes
 from gf_usd.physics.total_lagrangian.energies import stored_energy
 from gf_usd.physics.total_lagrangian.setup.body import Body

@@ -16,7 +16,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.frames import Frame, Particles, Settings, SurfaceSamples
+from gf_usd.core.frames.frame import Frame
+from gf_usd.core.frames.particles import Particles, SurfaceSamples
+from gf_usd.core.frames.settings import Settings
 from gf_usd.core.materials.dimensionless import G0
 from gf_usd.core.materials.keys import KEYED
 from gf_usd.core.materials.material import Material

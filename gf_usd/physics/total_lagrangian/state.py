@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.frames import Pose
+from gf_usd.core.frames.frame import Pose
 from gf_usd.physics.contact.floor import GIVEN_ROW, WORK, spring_energy
 from gf_usd.physics.grid.bodies import node_sums
 from gf_usd.physics.grid.embedding import embedded_pose, gradient

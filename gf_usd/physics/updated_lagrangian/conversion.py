@@ -25,7 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.frames import Particles, Settings
+from gf_usd.core.frames.particles import Particles
+from gf_usd.core.frames.settings import Settings
 from gf_usd.core.materials.conversion import STRAIN, STRESS, TIME, Conversion
 from gf_usd.core.materials.material import Material
 from gf_usd.core.materials.per_particle import after_conversion, of_materials, with_derived

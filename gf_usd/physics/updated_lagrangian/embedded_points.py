@@ -19,7 +19,7 @@ import numpy as np
 from scipy import sparse
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.frames import Pose
+from gf_usd.core.frames.frame import Pose
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.physics.grid.reference.stencil import Rows
 

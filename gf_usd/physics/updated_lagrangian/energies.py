@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats, Ints, triple
-from gf_usd.core.frames import Health, Pose, Settings
+from gf_usd.core.frames.frame import Health, Pose
+from gf_usd.core.frames.settings import Settings
 from gf_usd.core.stage import ContactSetup
 from gf_usd.physics.time_step import wave_speed
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import UsageError
-from gf_usd.core.frames import Particles, Settings, SurfaceSamples
+from gf_usd.core.frames.particles import Particles, SurfaceSamples
+from gf_usd.core.frames.settings import Settings
 from gf_usd.core.materials.material import Material
 from gf_usd.core.materials.per_particle import stiffest_by_conversion
 from gf_usd.core.stage import ContactSetup, Pin

@@ -19,7 +19,9 @@ from typing import Any
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.frames import Frame, Particles, Pose, Settings, SurfaceSamples
+from gf_usd.core.frames.frame import Frame, Pose
+from gf_usd.core.frames.particles import Particles, SurfaceSamples
+from gf_usd.core.frames.settings import Settings
 from gf_usd.core.materials.dimensionless import G0
 from gf_usd.core.materials.material import Material
 from gf_usd.core.materials.per_particle import convertible

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from gf_usd.core.errors import InputError, OutOfResources, counted
-from gf_usd.core.frames import MIXED, Settings, written
+from gf_usd.core.frames.settings import MIXED, Settings, written
 from gf_usd.core.materials.dimensionless import time_scale
 from gf_usd.core.materials.laws import LAWS
 from gf_usd.core.materials.material import Material

@@ -27,7 +27,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.frames import Particles, Settings
+from gf_usd.core.frames.particles import Particles
+from gf_usd.core.frames.settings import Settings
 from gf_usd.core.materials.laws import LAWS
 from gf_usd.core.materials.material import Material
 from gf_usd.core.stage import Pin

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.frames import Particles, SurfaceSamples
+from gf_usd.core.frames.particles import Particles, SurfaceSamples
 from gf_usd.prepare.bodies.convexity import SupportPoints
 
 # Of the volume of its convex hull that a body fills: from COMPACT on it hardly touches itself, and

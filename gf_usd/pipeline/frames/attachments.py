@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gf_usd.core.frames import Particles, TetAttachment, TetLattice
+from gf_usd.core.frames.particles import Particles, TetAttachment, TetLattice
 from gf_usd.core.stage import Pin
 
 

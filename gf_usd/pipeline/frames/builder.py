@@ -10,18 +10,18 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import Surface
-from gf_usd.core.frames import (
+from gf_usd.core.frames.frame import (
     STRETCH,
     BakedFrame,
     Frame,
     GaussianPose,
     Health,
     MeshPose,
-    Particles,
     Pose,
-    Settings,
     SurfacePose,
 )
+from gf_usd.core.frames.particles import Particles
+from gf_usd.core.frames.settings import Settings
 from gf_usd.pipeline.checkpoint import Checkpoint
 from gf_usd.pipeline.frames.captured import SplatDeformer
 from gf_usd.pipeline.frames.flows import FlowSurfaces

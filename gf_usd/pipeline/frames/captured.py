@@ -12,12 +12,9 @@ import numpy as np
 from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import SplatPose, Splats, StageFacts, joined
 from gf_usd.core.errors import counted
-from gf_usd.core.frames import (
-    BakedFrame,
-    Particles,
-    Pose,
-    Settings,
-)
+from gf_usd.core.frames.frame import BakedFrame, Pose
+from gf_usd.core.frames.particles import Particles
+from gf_usd.core.frames.settings import Settings
 from gf_usd.core.radiance import Y_0, linear_to_srgb
 from gf_usd.prepare.outputs import SplatSequence
 

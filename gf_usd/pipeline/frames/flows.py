@@ -6,7 +6,8 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from gf_usd.core.frames import Particles, Pose, SurfacePose
+from gf_usd.core.frames.frame import Pose, SurfacePose
+from gf_usd.core.frames.particles import Particles
 from gf_usd.core.materials.material import Material
 from gf_usd.core.materials.per_particle import flowing
 

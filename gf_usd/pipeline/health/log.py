@@ -12,7 +12,8 @@ from dataclasses import asdict, replace
 from itertools import pairwise
 from typing import Any
 
-from gf_usd.core.frames import Health, Settings, pierced_weight, shortened
+from gf_usd.core.frames.frame import Health, pierced_weight
+from gf_usd.core.frames.settings import Settings, shortened
 from gf_usd.core.materials.dimensionless import G0
 
 REST = 1e-3  # of the energy scale: a body with less kinetic energy is at rest

@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from gf_usd.core.errors import counted
-from gf_usd.core.frames import STRETCH
+from gf_usd.core.frames.frame import STRETCH
 from gf_usd.core.materials.laws import LAWS
 from gf_usd.core.units import code_text, length_text, percent_text, rounded_text
 

@@ -25,7 +25,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints, cross
 from gf_usd.core.asset import Surface
-from gf_usd.core.frames import Pose
+from gf_usd.core.frames.frame import Pose
 from gf_usd.core.mesh.measures import signed_volume
 from gf_usd.core.mesh.subdivision import divided
 from gf_usd.geometry.solid import KEPT

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.frames import AT_REST, Frame, Health, Particles, Pose, Settings
+from gf_usd.core.frames.frame import AT_REST, Frame, Health, Pose
+from gf_usd.core.frames.particles import Particles
+from gf_usd.core.frames.settings import Settings
 from gf_usd.core.materials.dimensionless import G0
 from gf_usd.pipeline.measures.figures import Recorder, Series
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Surface
-from gf_usd.core.frames import Pose
+from gf_usd.core.frames.frame import Pose
 from gf_usd.pipeline.measures.inside import WITHIN, WindingNumbers, stacked
 
 FAR = 1.0  # [spacings] from the meshes

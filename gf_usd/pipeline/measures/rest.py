@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from gf_usd.core.errors import BakeError, counted
-from gf_usd.core.frames import AT_REST, Health
+from gf_usd.core.frames.frame import AT_REST, Health
 from gf_usd.core.materials.dimensionless import G0, time_scale
 
 

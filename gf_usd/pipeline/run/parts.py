@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gf_usd.core.frames import BakeInfo, sampled
+from gf_usd.core.frames.frame import BakeInfo
+from gf_usd.core.frames.settings import sampled
 from gf_usd.pipeline.checkpoint import Checkpoint
 from gf_usd.pipeline.cost.budget import ResourceGuard, reserve
 from gf_usd.pipeline.frames.builder import FrameBuilder

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gf_usd.core.errors import OutOfResources, SolverError, UsageError
-from gf_usd.core.frames import sampled
+from gf_usd.core.frames.settings import sampled
 from gf_usd.pipeline.checkpoint import CheckpointWriter, remove_checkpoints
 from gf_usd.pipeline.cost.budget import require_affordable, require_resources
 from gf_usd.pipeline.cost.forecast import CHECKING, WRITING, Forecast, Stages, Watch

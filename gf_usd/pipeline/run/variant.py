@@ -10,7 +10,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from gf_usd.core.errors import SolverError
-from gf_usd.core.frames import BakedFrame, BakeInfo, Settings, sampled, shortened
+from gf_usd.core.frames.frame import BakedFrame, BakeInfo
+from gf_usd.core.frames.settings import Settings, sampled, shortened
 from gf_usd.pipeline.checkpoint import Checkpoint
 from gf_usd.pipeline.cost.budget import ResourceGuard
 from gf_usd.pipeline.cost.forecast import SIMULATING, WRITING

@@ -12,7 +12,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints, cross
 from gf_usd.core.asset import StageFacts
 from gf_usd.core.errors import InputError, counted
-from gf_usd.core.frames import Particles, SurfaceSamples
+from gf_usd.core.frames.particles import Particles, SurfaceSamples
 from gf_usd.core.mesh.subdivision import with_short_edges
 from gf_usd.core.stage import Collider, ContactSetup, Skin, StagePhysics
 from gf_usd.core.units import length_text

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints, cross, row_dots
-from gf_usd.core.frames import Particles
+from gf_usd.core.frames.particles import Particles
 from gf_usd.core.mesh.measures import areas, signed_volume
 from gf_usd.core.mesh.topology import boundary_edges, weld
 from gf_usd.core.stage import Collider, ContactSetup

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gf_usd.core.frames import Particles
+from gf_usd.core.frames.particles import Particles
 from gf_usd.core.materials.material import Material
 from gf_usd.core.materials.per_particle import convertible, flowing, unbounded
 from gf_usd.prepare.bodies.plan import BodyPlan

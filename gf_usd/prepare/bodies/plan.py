@@ -11,7 +11,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Asset
 from gf_usd.core.errors import counted, listed, listed_paths
-from gf_usd.core.frames import Particles
+from gf_usd.core.frames.particles import Particles
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.core.units import length_text
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Ints
 from gf_usd.core.asset import Asset
-from gf_usd.core.frames import Particles, SurfaceSamples
+from gf_usd.core.frames.particles import Particles, SurfaceSamples
 from gf_usd.core.units import length_text
 from gf_usd.prepare.bodies.plan import BodyPlan, plan_bodies
 from gf_usd.prepare.materials.flowing import Dispatch

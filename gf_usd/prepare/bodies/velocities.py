@@ -11,7 +11,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import Asset
-from gf_usd.core.frames import Particles
+from gf_usd.core.frames.particles import Particles
 from gf_usd.core.stage import BodyPhysics, Pin, Triple
 from gf_usd.prepare.bodies.plan import BodyPlan
 from gf_usd.readers.notes import Notes

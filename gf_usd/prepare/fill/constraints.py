@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from gf_usd.core.errors import InputError, counted
-from gf_usd.core.frames import Settings, sampled, written
+from gf_usd.core.frames.settings import Settings, sampled, written
 from gf_usd.core.stage import Goals, Pin
 from gf_usd.prepare.bodies.contact import LimbPlan
 from gf_usd.prepare.bodies.flesh.flesh import Flesh, flesh_of

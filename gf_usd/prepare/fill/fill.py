@@ -16,7 +16,8 @@ import numpy as np
 
 from gf_usd.core.arrays import triple
 from gf_usd.core.asset import Asset, Surface
-from gf_usd.core.frames import Choices, Settings
+from gf_usd.core.frames.choices import Choices
+from gf_usd.core.frames.settings import Settings
 from gf_usd.core.stage import Pin, StageSpec, Triple
 from gf_usd.prepare.bodies.coarse import cage_notes, coarse_note
 from gf_usd.prepare.bodies.contact import (

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gf_usd.core.asset import Asset
-from gf_usd.core.frames import MIXED
+from gf_usd.core.frames.settings import MIXED
 from gf_usd.core.stage import StageSpec
 from gf_usd.prepare.fill.meshes import FilledMeshes, ResolutionOf, repair_for_fill
 from gf_usd.prepare.materials.flowing import Dispatch

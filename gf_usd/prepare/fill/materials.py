@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gf_usd.core.frames import Settings
+from gf_usd.core.frames.settings import Settings
 from gf_usd.core.materials.material import Material
 from gf_usd.core.mesh.measures import areas, signed_volume
 from gf_usd.core.stage import Pin, StagePhysics, StageSpec

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gf_usd.core.asset import Asset, Surface
-from gf_usd.core.frames import Settings, sampled
+from gf_usd.core.frames.settings import Settings, sampled
 from gf_usd.core.stage import Pin, StagePhysics, Triple
 from gf_usd.core.units import length_text, rounded_text
 from gf_usd.prepare.bodies.flesh.animation import read_animation

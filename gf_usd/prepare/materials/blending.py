@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.frames import Particles
+from gf_usd.core.frames.particles import Particles
 from gf_usd.core.materials.laws import law_parameters
 from gf_usd.core.materials.material import Material, lame
 from gf_usd.core.materials.per_particle import columns, of_materials, summary, with_derived

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gf_usd.core.arrays import Ints
 from gf_usd.core.asset import Asset, Surface
 from gf_usd.core.errors import InputError, UsageError
-from gf_usd.core.frames import Particles
+from gf_usd.core.frames.particles import Particles
 from gf_usd.core.materials.conversion import KINDS, TIME, Conversion, Limit
 from gf_usd.core.materials.laws import LAWS
 from gf_usd.core.materials.material import Material

@@ -11,7 +11,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Ints
 from gf_usd.core.errors import InputError, UsageError
-from gf_usd.core.frames import Particles
+from gf_usd.core.frames.particles import Particles
 from gf_usd.core.materials.laws import LAWS
 from gf_usd.core.materials.material import Material
 from gf_usd.core.materials.per_particle import unbounded

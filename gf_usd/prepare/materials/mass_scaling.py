@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from gf_usd.core.errors import UsageError
-from gf_usd.core.frames import Particles
+from gf_usd.core.frames.particles import Particles
 from gf_usd.core.materials.laws import LAWS
 from gf_usd.core.materials.material import Material
 from gf_usd.core.units import percent_text

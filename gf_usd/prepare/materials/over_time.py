@@ -11,7 +11,7 @@ import numpy as np
 
 from gf_usd.core.asset import Asset
 from gf_usd.core.errors import UsageError
-from gf_usd.core.frames import MIXED, Settings
+from gf_usd.core.frames.settings import MIXED, Settings
 from gf_usd.core.materials.keys import KEYED, ValueKeys
 from gf_usd.core.materials.per_particle import spread
 from gf_usd.core.stage import StageSpec

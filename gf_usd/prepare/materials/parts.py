@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gf_usd.core.arrays import Ints
-from gf_usd.core.frames import Particles
+from gf_usd.core.frames.particles import Particles
 from gf_usd.core.stage import StageSpec, SubsetMaterial
 from gf_usd.prepare.materials.regions import Region
 

@@ -14,7 +14,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Surface
 from gf_usd.core.errors import InputError, UsageError, listed
-from gf_usd.core.frames import Particles
+from gf_usd.core.frames.particles import Particles
 from gf_usd.core.materials.presets import find_preset
 
 BOX_OPTION = "--material-box"

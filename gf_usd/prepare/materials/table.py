@@ -14,7 +14,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Ints
 from gf_usd.core.asset import Surface
-from gf_usd.core.frames import Particles
+from gf_usd.core.frames.particles import Particles
 from gf_usd.core.materials.dimensionless import DimensionlessPreset
 from gf_usd.core.materials.laws import flowing_law, law_parameters
 from gf_usd.core.materials.material import Material

@@ -11,14 +11,9 @@ import numpy as np
 from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import Asset, Surface
 from gf_usd.core.errors import UsageError
-from gf_usd.core.frames import (
-    SHAPES,
-    Choices,
-    Particles,
-    Settings,
-    clip_length,
-    written,
-)
+from gf_usd.core.frames.choices import SHAPES, Choices, clip_length
+from gf_usd.core.frames.particles import Particles
+from gf_usd.core.frames.settings import Settings, written
 from gf_usd.core.units import Precision, bytes_text, length_text
 from gf_usd.prepare.bodies.flow import Flow
 from gf_usd.prepare.options.request import Request

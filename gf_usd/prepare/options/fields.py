@@ -11,7 +11,7 @@ from gf_usd.core.errors import UsageError
 from gf_usd.core.units import STRONGEST, code_text, number
 
 if TYPE_CHECKING:
-    from gf_usd.core.frames import Field
+    from gf_usd.core.frames.settings import Field
 
 FORM = (
     "wind:X,Y,Z, radial:A:at=X,Y,Z or noise:A:length=L:rate=R, in m/s^2, with :at=X,Y,Z:radius=R"
@@ -33,7 +33,7 @@ def parse_field(text: str, option: str = "--field") -> Field:
 
     option : what messages call it.  Raises UsageError for what is none.
     """
-    from gf_usd.core.frames import Field  # NumPy, which a command line without a field is spared
+    from gf_usd.core.frames.settings import Field
 
     where = f"{option} {text or repr(text)}"
     kind, _, rest = text.partition(":")

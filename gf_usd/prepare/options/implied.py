@@ -12,7 +12,7 @@ import numpy as np
 
 from gf_usd.core.asset import Asset
 from gf_usd.core.errors import InputError, UsageError, listed_paths
-from gf_usd.core.frames import MIXED
+from gf_usd.core.frames.settings import MIXED
 from gf_usd.core.stage import StageSpec
 from gf_usd.prepare.materials.flowing import Dispatch
 from gf_usd.prepare.materials.regions import shown

@@ -9,7 +9,7 @@ from functools import cached_property
 from typing import Any
 
 from gf_usd.core.errors import UsageError
-from gf_usd.core.frames import MIXED
+from gf_usd.core.frames.settings import MIXED
 from gf_usd.prepare.materials.conversion import ConversionRule, parse_conversions
 from gf_usd.prepare.materials.regions import Region, parse_regions
 from gf_usd.prepare.options.fields import GravityKeys, parse_field

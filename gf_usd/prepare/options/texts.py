@@ -264,7 +264,7 @@ def parse_only(text: str) -> tuple[str, ...]:
 
     Raises UsageError for words that are none of them.
     """
-    from gf_usd.core.frames import SHAPES
+    from gf_usd.core.frames.choices import SHAPES
 
     words = [word.strip() for word in text.split(",")]
     for word in words:

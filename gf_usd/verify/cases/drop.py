@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gf_usd.core.frames import SurfaceSamples
+from gf_usd.core.frames.particles import SurfaceSamples
 from gf_usd.core.materials.dimensionless import G0
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.verify.bodies import ball, elastic, settings, sphere

@@ -8,7 +8,8 @@ from functools import cache
 import numpy as np
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.frames import LUMPED, Health
+from gf_usd.core.frames.frame import Health
+from gf_usd.core.frames.settings import LUMPED
 from gf_usd.core.materials.dimensionless import G0
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.verify.bodies import ball, preset_material, set_state, settings

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from gf_usd.core.frames import SurfaceSamples
+from gf_usd.core.frames.particles import SurfaceSamples
 from gf_usd.core.materials.dimensionless import DIMENSIONLESS, FILTER_RATE, G0, time_scale
 from gf_usd.core.materials.laws import LAWS
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.frames import Particles
+from gf_usd.core.frames.particles import Particles
 from gf_usd.core.stage import Pin
 from gf_usd.geometry.connected.copies import find_limbs
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian

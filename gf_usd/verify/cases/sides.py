@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gf_usd.core.frames import LUMPED
+from gf_usd.core.frames.settings import LUMPED
 from gf_usd.core.materials.dimensionless import FILTER_RATE, G0, time_scale
 from gf_usd.physics.solvers import make_solver
 from gf_usd.verify.bodies import ball, preset_material, settings, sphere

@@ -432,7 +432,7 @@ def named_rows(
 
 
 def _describe_field(field: Mapping[str, Any]) -> str:
-    """A force field of the settings as text; see `gf_usd.core.frames.Field`."""
+    """A force field of the settings as text; see `gf_usd.core.frames.settings.Field`."""
     if field.get("kind") == "gravity":
         times = field.get("times") or [0.0]
         span = f"time codes {number(times[0])} to {number(times[-1])}"

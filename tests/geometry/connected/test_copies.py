@@ -11,7 +11,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from solids import cube, solid, sphere, surface
 
-from gf_usd.core.frames import Particles
+from gf_usd.core.frames.particles import Particles
 from gf_usd.geometry.connected import copies
 from gf_usd.geometry.connected.copies import Limbs, find_limbs
 from gf_usd.geometry.sampling.particles import sample_solid

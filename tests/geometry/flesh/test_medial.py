@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gf_usd.core.errors import InputError
-from gf_usd.core.frames import SurfaceSamples
+from gf_usd.core.frames.particles import SurfaceSamples
 from gf_usd.geometry.flesh.goals import flesh_goals
 from gf_usd.geometry.flesh.linear_blend import bone_transforms
 from gf_usd.geometry.flesh.medial import medial_points, medial_skeleton

@@ -11,7 +11,7 @@ import trimesh
 from scipy.sparse import csr_matrix
 
 from gf_usd.core.asset import Surface
-from gf_usd.core.frames import Pose
+from gf_usd.core.frames.frame import Pose
 from gf_usd.core.stage import Bone, Skeleton
 from gf_usd.geometry.flesh.sheets import REACH, garments, skinned_sheets, thin_sheets
 

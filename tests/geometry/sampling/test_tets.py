@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gf_usd.core.frames import CellCopies, Particles, SurfaceSamples
+from gf_usd.core.frames.particles import CellCopies, Particles, SurfaceSamples
 from gf_usd.core.mesh.topology import boundary_edges, tet_surface
 from gf_usd.geometry.sampling.tets import KUHN, tet_lattices, without_hinges
 

@@ -12,7 +12,7 @@ from small_sources import PLAIN, SEVERAL_ROOTS, Source
 from small_stages import bake
 
 import gf_usd
-from gf_usd.core.frames import Choices
+from gf_usd.core.frames.choices import Choices
 from gf_usd.layers.check.run import check_file, review
 from gf_usd.layers.flatten import write_flat
 from gf_usd.system.atomic_files import publish

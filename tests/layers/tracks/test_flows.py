@@ -15,7 +15,8 @@ from small_stages import frames_of, info_of, particles_of
 
 from gf_usd.core.asset import SurfaceMaterial, Texture
 from gf_usd.core.errors import BakeError
-from gf_usd.core.frames import Choices, SurfacePose
+from gf_usd.core.frames.choices import Choices
+from gf_usd.core.frames.frame import SurfacePose
 from gf_usd.layers.cache import CacheWriter
 from gf_usd.layers.check.run import review
 from gf_usd.layers.root import write_root

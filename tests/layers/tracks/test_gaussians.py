@@ -14,7 +14,8 @@ from small_stages import frames_of, info_of, particles_of
 
 from gf_usd.core.asset import Asset
 from gf_usd.core.errors import BakeError
-from gf_usd.core.frames import Choices, Particles
+from gf_usd.core.frames.choices import Choices
+from gf_usd.core.frames.particles import Particles
 from gf_usd.core.units import StageUnits
 from gf_usd.layers.cache import CacheSummary, CacheWriter
 from gf_usd.layers.check.run import check_file

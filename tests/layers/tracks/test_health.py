@@ -12,7 +12,7 @@ from pxr import Sdf, Usd
 from small_sources import PLAIN, ROOT_MESH, Source
 from small_stages import frames_of, info_of, open_with, particles_of
 
-from gf_usd.core.frames import BakeInfo, Health
+from gf_usd.core.frames.frame import BakeInfo, Health
 from gf_usd.core.units import StageUnits
 from gf_usd.layers.cache import CacheWriter
 from gf_usd.layers.check.run import review

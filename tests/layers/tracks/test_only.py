@@ -15,7 +15,9 @@ from visible_prims import visible
 
 from gf_usd.core.asset import Asset
 from gf_usd.core.errors import UsageError
-from gf_usd.core.frames import BakeInfo, Choices, Particles
+from gf_usd.core.frames.choices import Choices
+from gf_usd.core.frames.frame import BakeInfo
+from gf_usd.core.frames.particles import Particles
 from gf_usd.layers.check.run import check_file
 from gf_usd.layers.root import RootSummary
 from gf_usd.prepare.options.texts import parse_only

@@ -14,7 +14,7 @@ from small_stages import (
     write_cache,
 )
 
-from gf_usd.core.frames import Choices
+from gf_usd.core.frames.choices import Choices
 
 
 def test_the_splats_extent_is_that_of_their_three_sigma_ellipsoids(tmp_path: Path) -> None:

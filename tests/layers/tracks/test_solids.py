@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from pxr import Sdf, Usd, UsdGeom
 
-from gf_usd.core.frames import MeshPose
+from gf_usd.core.frames.frame import MeshPose
 from gf_usd.layers.stage import Clock
 from gf_usd.layers.tracks.meshes import MeshTrack
 from gf_usd.readers import read_asset

@@ -9,7 +9,7 @@ import pytest
 from contact_scenes import contact_solver, half_space
 from solids import cube
 
-from gf_usd.core.frames import Frame
+from gf_usd.core.frames.frame import Frame
 from gf_usd.core.stage import Pin
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.verify.bodies import clamp

@@ -8,7 +8,7 @@ from scipy import sparse
 from scipy.integrate import solve_ivp
 from solids import ball
 
-from gf_usd.core.frames import SurfaceSamples
+from gf_usd.core.frames.particles import SurfaceSamples
 from gf_usd.physics.contact.floor import (
     HALF_SPACE,
     REST_DEPTH,

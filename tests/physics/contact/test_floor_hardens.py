@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from gf_usd.core.frames import Health, SurfaceSamples
+from gf_usd.core.frames.frame import Health
+from gf_usd.core.frames.particles import SurfaceSamples
 from gf_usd.physics.contact.floor import HARD, STOPPING_DISTANCE
 from gf_usd.physics.time_step import MARGIN
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian

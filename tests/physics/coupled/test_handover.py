@@ -11,7 +11,7 @@ import pytest
 from solids import cube, settings, solid
 
 from gf_usd.core.errors import UsageError
-from gf_usd.core.frames import MIXED
+from gf_usd.core.frames.settings import MIXED
 from gf_usd.core.materials.conversion import STRAIN, TIME, Conversion, Limit
 from gf_usd.core.materials.presets import find_preset
 from gf_usd.core.stage import Pin, StagePhysics

@@ -9,7 +9,7 @@ import pytest
 from solids import cube, solid
 
 from gf_usd.core.errors import InputError
-from gf_usd.core.frames import CellCopies, SurfaceSamples
+from gf_usd.core.frames.particles import CellCopies, SurfaceSamples
 from gf_usd.core.materials.conversion import TIME, Conversion, Limit
 from gf_usd.core.materials.presets import find_preset
 from gf_usd.core.stage import ContactSetup, Pin

@@ -9,7 +9,7 @@ import pytest
 from embedded import pose
 from solids import solid, surface
 
-from gf_usd.core.frames import CellCopies
+from gf_usd.core.frames.particles import CellCopies
 from gf_usd.geometry.connected.copies import find_limbs
 from gf_usd.geometry.regions import box_region, make_pin
 from gf_usd.geometry.sampling.contact_samples import sample_surface

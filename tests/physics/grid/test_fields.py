@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gf_usd.core.frames import Field, Settings
+from gf_usd.core.frames.settings import Field, Settings
 from gf_usd.physics.grid.fields import Fields
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.verify.bodies import block, elastic, settings

@@ -11,7 +11,7 @@ from solids import asset, cube, fill, preset_material, settings, solid, surface
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import InputError
-from gf_usd.core.frames import Particles, SurfaceSamples
+from gf_usd.core.frames.particles import Particles, SurfaceSamples
 from gf_usd.core.materials.material import Material
 from gf_usd.core.stage import Pin, Region
 from gf_usd.geometry.regions import box_region, make_pin

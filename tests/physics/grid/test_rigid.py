@@ -11,7 +11,7 @@ from solids import cube
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import InputError
-from gf_usd.core.frames import Particles
+from gf_usd.core.frames.particles import Particles
 from gf_usd.core.stage import Pin
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.verify.bodies import block, elastic, settings

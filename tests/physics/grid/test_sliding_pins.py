@@ -11,7 +11,9 @@ from slow_parameters import longest_but
 from solids import settings
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.frames import CONSISTENT, LUMPED, Health, Particles
+from gf_usd.core.frames.frame import Health
+from gf_usd.core.frames.particles import Particles
+from gf_usd.core.frames.settings import CONSISTENT, LUMPED
 from gf_usd.core.materials.material import Material
 from gf_usd.core.stage import Pin
 from gf_usd.physics.grid import mass as nodal_mass

@@ -5,7 +5,7 @@ import pytest
 from random_turns import random_turns
 from scipy.spatial.transform import Rotation
 
-from gf_usd.core.frames import GaussianPose, Pose
+from gf_usd.core.frames.frame import GaussianPose, Pose
 from gf_usd.core.matrices import matrix_from_quaternion
 from gf_usd.physics.output.gaussian_kernels import (
     LANES,

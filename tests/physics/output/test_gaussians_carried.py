@@ -10,7 +10,7 @@ from captures import ball
 from scipy.spatial.transform import Rotation
 
 from gf_usd.core.asset import Splats
-from gf_usd.core.frames import Pose
+from gf_usd.core.frames.frame import Pose
 from gf_usd.core.matrices import gaussian_axes
 from gf_usd.core.radiance import basis
 from gf_usd.physics.output.gaussians import STRETCH, CarriedSplats

@@ -8,7 +8,7 @@ from slow_parameters import longest_but
 from solids import preset_material
 from strained_ball import EXACT, INVERTED, SQUASH, body, clipped, force, made, shear_modulus, strain
 
-from gf_usd.core.frames import Health, Pose
+from gf_usd.core.frames.frame import Health, Pose
 from gf_usd.physics.frame_loop import GAIN, Guard
 from gf_usd.physics.per_particle import strains
 from gf_usd.physics.total_lagrangian.energies import elastic_energy, strain_energy, von_mises

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from solids import CUBE_POINTS, CUBE_TRIANGLES, cube, sphere
 
-from gf_usd.core.frames import AT_REST
+from gf_usd.core.frames.frame import AT_REST
 from gf_usd.core.materials.dimensionless import G0
 from gf_usd.physics.total_lagrangian.rest_and_flight import FLIGHT
 

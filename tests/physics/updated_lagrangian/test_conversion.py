@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from slow_parameters import longest_but
 
-from gf_usd.core.frames import SurfaceSamples
+from gf_usd.core.frames.particles import SurfaceSamples
 from gf_usd.core.materials.conversion import STRAIN, STRESS, TIME, Conversion, Limit
 from gf_usd.core.materials.material import Material
 from gf_usd.core.materials.physical import PHYSICAL

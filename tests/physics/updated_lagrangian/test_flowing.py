@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from slow_parameters import slow_but
 
-from gf_usd.core.frames import SurfaceSamples
+from gf_usd.core.frames.particles import SurfaceSamples
 from gf_usd.core.materials.physical import PHYSICAL
 from gf_usd.core.materials.presets import find_preset
 from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian

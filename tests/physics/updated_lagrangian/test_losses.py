@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from solids import settings
 
-from gf_usd.core.frames import Pose
+from gf_usd.core.frames.frame import Pose
 from gf_usd.core.stage import Collider, ContactSetup
 from gf_usd.physics.updated_lagrangian.energies import Losses
 

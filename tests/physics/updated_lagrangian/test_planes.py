@@ -10,7 +10,7 @@ import pytest
 from contact_scenes import half_space, obstacle
 from solids import cube
 
-from gf_usd.core.frames import SurfaceSamples
+from gf_usd.core.frames.particles import SurfaceSamples
 from gf_usd.core.materials.physical import PHYSICAL
 from gf_usd.core.stage import Collider, ContactSetup
 from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from solids import cube, fill, solid
 
-from gf_usd.core.frames import Frame, Health
+from gf_usd.core.frames.frame import Frame, Health
 from gf_usd.pipeline.frames.builder import STRETCH, FrameBuilder, mean_of_bodies
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.frames import Settings, shortened
+from gf_usd.core.frames.settings import Settings, shortened
 from gf_usd.pipeline.frames.period import PERIODIC, Period
 
 LEAD, CYCLE, MOST, DECAY = 3, 8, 16, 0.5

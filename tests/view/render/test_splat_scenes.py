@@ -15,7 +15,7 @@ from pxr import Usd, UsdGeom
 from scipy.spatial.transform import Rotation
 
 from gf_usd.core.asset import Splats
-from gf_usd.core.frames import Pose
+from gf_usd.core.frames.frame import Pose
 from gf_usd.core.scene import Camera, Harmonics, RenderSplats
 from gf_usd.geometry.splat_hull import hull
 from gf_usd.layers.stage import Clock

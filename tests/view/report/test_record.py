@@ -9,7 +9,8 @@ from dataclasses import asdict, fields
 import pytest
 from recordings import FallingBox, report_of
 
-from gf_usd.core.frames import Field, Health, Settings
+from gf_usd.core.frames.frame import Health
+from gf_usd.core.frames.settings import Field, Settings
 from gf_usd.core.materials.material import Material
 from gf_usd.pipeline.health.log import HealthLog
 from gf_usd.pipeline.health.warnings import RULES

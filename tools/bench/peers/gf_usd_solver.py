@@ -9,7 +9,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
 
 import numpy as np
 
-from gf_usd.core.frames import Particles, Settings, SurfaceSamples
+from gf_usd.core.frames.particles import Particles, SurfaceSamples
+from gf_usd.core.frames.settings import Settings
 from gf_usd.core.materials.material import Material
 from gf_usd.physics.solvers import make_solver
 from tools.bench import play, scene

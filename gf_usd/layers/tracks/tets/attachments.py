@@ -16,7 +16,9 @@ from pxr import Sdf, Usd, UsdGeom, Vt
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import Asset, free_name, prim_name
-from gf_usd.core.frames import MeshPose, Settings, TetAttachment, TetLattice, sampled
+from gf_usd.core.frames.frame import MeshPose
+from gf_usd.core.frames.particles import TetAttachment, TetLattice
+from gf_usd.core.frames.settings import Settings, sampled
 from gf_usd.layers.space import Space
 from gf_usd.layers.stage import Clock, vectors
 from gf_usd.system.usd_schema import ATTACHMENT_API

@@ -14,7 +14,8 @@ import numpy as np
 from pxr import Sdf, Usd, UsdGeom, Vt
 
 from gf_usd.core.arrays import Floats, corners, cross
-from gf_usd.core.frames import BakeInfo, MeshPose, Particles, TetLattice
+from gf_usd.core.frames.frame import BakeInfo, MeshPose
+from gf_usd.core.frames.particles import Particles, TetLattice
 from gf_usd.core.materials.per_particle import spread
 from gf_usd.core.mesh.topology import tet_surface
 from gf_usd.core.units import StageUnits

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints, corners
-from gf_usd.core.frames import pierced_weight
+from gf_usd.core.frames.frame import pierced_weight
 from gf_usd.core.stage import ContactSetup
 from gf_usd.physics.contact.detection.narrow_phase import PosedSkin
 from gf_usd.physics.contact.distance.closest import Closest

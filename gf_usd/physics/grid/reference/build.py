@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.frames import CellCopies
+from gf_usd.core.frames.particles import CellCopies
 from gf_usd.core.neighbors import STENCIL as OFFSETS
 from gf_usd.core.stage import Pin
 from gf_usd.physics.grid.copies import NodeCopies, link_copies, number_nodes

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.frames import Particles, Pose, Settings
+from gf_usd.core.frames.frame import Pose
+from gf_usd.core.frames.particles import Particles
+from gf_usd.core.frames.settings import Settings
 from gf_usd.core.stage import ContactSetup
 from gf_usd.physics.contact.floor import FloorContact
 from gf_usd.physics.grid.embedding import SplineRows

@@ -9,7 +9,8 @@ import numpy as np
 from scipy import sparse
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.frames import LUMPED, CellCopies, Particles, Settings, SurfaceSamples
+from gf_usd.core.frames.particles import CellCopies, Particles, SurfaceSamples
+from gf_usd.core.frames.settings import LUMPED, Settings
 from gf_usd.core.materials.material import Material
 from gf_usd.core.stage import ContactSetup, Goals, Pin
 from gf_usd.physics.grid.bodies import fastest, start_velocity

@@ -8,7 +8,8 @@ import numpy as np
 from scipy import sparse
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.frames import Particles, Settings, SurfaceSamples
+from gf_usd.core.frames.particles import Particles, SurfaceSamples
+from gf_usd.core.frames.settings import Settings
 from gf_usd.core.stage import Collider, Pin
 from gf_usd.physics.contact.floor import (
     NO_FLOOR,

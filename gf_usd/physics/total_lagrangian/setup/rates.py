@@ -8,7 +8,8 @@ import numpy as np
 from scipy import sparse
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.frames import Particles, Settings
+from gf_usd.core.frames.particles import Particles
+from gf_usd.core.frames.settings import Settings
 from gf_usd.physics.contact.floor import FloorContact
 from gf_usd.physics.grid.embedding import (
     SplineRows,

@@ -9,7 +9,8 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import InputError
-from gf_usd.core.frames import Particles, Settings
+from gf_usd.core.frames.particles import Particles
+from gf_usd.core.frames.settings import Settings
 from gf_usd.core.materials.keys import ValueKeys
 from gf_usd.core.materials.material import Material
 from gf_usd.core.materials.per_particle import spread, with_derived

@@ -10,7 +10,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import Asset, first_time_code
 from gf_usd.core.errors import InputError
-from gf_usd.core.frames import Settings
+from gf_usd.core.frames.settings import Settings
 from gf_usd.core.stage import Skeleton
 from gf_usd.core.units import length_text
 from gf_usd.prepare.settings import Animation

@@ -12,7 +12,8 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Asset, Surface
 from gf_usd.core.errors import InputError
-from gf_usd.core.frames import Settings, SurfaceSamples
+from gf_usd.core.frames.particles import SurfaceSamples
+from gf_usd.core.frames.settings import Settings
 from gf_usd.core.stage import Goals, Pin, Skeleton
 from gf_usd.core.units import code_text
 from gf_usd.prepare.bodies.flesh.animation import animation_times, at_frames, require_closed

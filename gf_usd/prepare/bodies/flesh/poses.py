@@ -11,7 +11,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import Asset
-from gf_usd.core.frames import SurfaceSamples
+from gf_usd.core.frames.particles import SurfaceSamples
 from gf_usd.core.stage import Skeleton
 from gf_usd.prepare.bodies.flesh.animation import surface_points
 from gf_usd.prepare.settings import Animation

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.frames import Health, SurfaceSamples
+from gf_usd.core.frames.frame import Health
+from gf_usd.core.frames.particles import SurfaceSamples
 from gf_usd.core.stage import ContactSetup, Skin
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.verify.bodies import ball, elastic, settings, sphere

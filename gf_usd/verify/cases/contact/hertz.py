@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.frames import Particles, SurfaceSamples
+from gf_usd.core.frames.particles import Particles, SurfaceSamples
 from gf_usd.physics.contact.floor import plane_modulus
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.verify.bodies import ball, elastic, iterate_states, settings

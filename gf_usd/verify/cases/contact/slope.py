@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.frames import SurfaceSamples
+from gf_usd.core.frames.particles import SurfaceSamples
 from gf_usd.core.materials.dimensionless import G0
 from gf_usd.core.stage import Collider, ContactSetup, PhysicsMaterialSpec, Skin
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian

@@ -21,7 +21,7 @@ from scipy.special import spherical_jn, spherical_yn
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import Surface
-from gf_usd.core.frames import Particles
+from gf_usd.core.frames.particles import Particles
 from gf_usd.geometry.sampling.particles import sample_solid
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.verify.bodies import elastic, iterate_states, make_solid, settings, sphere

@@ -22,7 +22,7 @@ from scipy.optimize import root_scalar
 from scipy.special import eval_legendre, spherical_jn
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.frames import Particles
+from gf_usd.core.frames.particles import Particles
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.verify.bodies import GAUSS, ball, block, elastic, iterate_states, settings, sphere
 from gf_usd.verify.case import AT_LEAST, Case, Curve, Measure, convergence_order, fit_frequency

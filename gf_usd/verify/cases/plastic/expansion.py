@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.frames import Particles
+from gf_usd.core.frames.particles import Particles
 from gf_usd.core.materials.material import Material, young_poisson
 from gf_usd.core.stage import Pin
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian

@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.frames import Particles
+from gf_usd.core.frames.particles import Particles
 from gf_usd.core.materials.material import Material
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.verify.bodies import (

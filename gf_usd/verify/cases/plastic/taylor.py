@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.frames import Frame, Particles
+from gf_usd.core.frames.frame import Frame
+from gf_usd.core.frames.particles import Particles
 from gf_usd.core.materials.material import Material
 from gf_usd.core.stage import Pin
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian

@@ -11,7 +11,8 @@ from pxr import Sdf, Usd, UsdGeom
 
 import gf_usd
 from gf_usd.core.errors import InputError
-from gf_usd.core.frames import MeshPose, sampled
+from gf_usd.core.frames.frame import MeshPose
+from gf_usd.core.frames.settings import sampled
 from gf_usd.layers.check.run import check_file
 from gf_usd.layers.stage import clock, open_source
 from gf_usd.layers.tracks.tets.attachments import Attachments, not_in_source

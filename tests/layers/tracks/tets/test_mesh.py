@@ -10,7 +10,9 @@ from pxr import Usd, UsdGeom, UsdShade
 from small_sources import PLAIN
 from small_stages import info_of, particles_of
 
-from gf_usd.core.frames import Choices, MeshPose, TetLattice
+from gf_usd.core.frames.choices import Choices
+from gf_usd.core.frames.frame import MeshPose
+from gf_usd.core.frames.particles import TetLattice
 from gf_usd.layers.materials import write_materials
 from gf_usd.layers.tracks.tets.mesh import TetTrack, point_shares
 

@@ -10,7 +10,7 @@ import pytest
 from contact_scenes import contact_solver, obstacle
 from solids import cube, settings
 
-from gf_usd.core.frames import Health
+from gf_usd.core.frames.frame import Health
 from gf_usd.physics.contact.obstacles.piercing import EVERY, Pierced
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.pipeline.health.log import HealthLog

@@ -11,7 +11,7 @@ from slow_parameters import longest_but
 from solids import ball, preset_material, settings
 from strained_ball import corotated
 
-from gf_usd.core.frames import CONSISTENT, LUMPED
+from gf_usd.core.frames.settings import CONSISTENT, LUMPED
 from gf_usd.core.materials.dimensionless import DIMENSIONLESS
 from gf_usd.physics.grid.reference.stencil import OFFSETS, weights
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian

@@ -18,7 +18,7 @@ import numpy as np
 import trimesh
 
 from gf_usd.core.asset import Surface
-from gf_usd.core.frames import SurfaceSamples
+from gf_usd.core.frames.particles import SurfaceSamples
 from gf_usd.core.materials.material import Material
 from gf_usd.geometry.sampling.particles import sample_solid
 from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from gf_usd.core.frames import MIXED
+from gf_usd.core.frames.settings import MIXED
 from gf_usd.core.materials.conversion import TIME, Conversion, Limit
 from gf_usd.core.materials.dimensionless import G0
 from gf_usd.core.materials.presets import find_preset

@@ -16,7 +16,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from gf_usd.core.frames import SurfaceSamples
+from gf_usd.core.frames.particles import SurfaceSamples
 from gf_usd.core.materials.dimensionless import G0
 from gf_usd.core.materials.material import Material
 from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
