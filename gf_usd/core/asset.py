@@ -147,7 +147,7 @@ class Surface:
 
     @cached_property
     def representative(self) -> Ints:
-        """(V,) the first of the points that coincide with each: see `core.mesh.weld`."""
+        """(V,) the first of the points that coincide with each: see `core.mesh.topology.weld`."""
         found = weld(self.points)[0]
         found.flags.writeable = False
         return found
@@ -159,7 +159,7 @@ class Surface:
 
     @cached_property
     def signed_volume(self) -> float:
-        """[m^3] of the welded triangles, see `core.mesh.signed_volume`."""
+        """[m^3] of the welded triangles, see `core.mesh.measures.signed_volume`."""
         return signed_volume(self.points, self.welded.triangles)
 
     @property

@@ -98,7 +98,7 @@ class Inspection:
     def fill_of(self, path: str) -> tuple[str, str]:
         """(filled | rides along | stays | refused, reason) of a mesh.
 
-        A mesh that rides along encloses no volume and follows the nearest solid; one that stays is
+        A mesh that rides along encloses no volume and follows a solid near it; one that stays is
         not moved.
         """
         if self.plan is None:

@@ -27,7 +27,7 @@ Nodes = ti.types.ndarray(dtype=ti.i32, ndim=2)
 
 @ti.func
 def spline(f):
-    """N_i(f), i = 0, 1, 2: see `reference.bspline`."""
+    """N_i(f), i = 0, 1, 2: see `reference.stencil.bspline`."""
     a, b, c = 1.5 - f, f - 1.0, f - 0.5
     return 0.5 * a * a, 0.75 - b * b, 0.5 * c * c
 

@@ -90,7 +90,10 @@ class Solvers:
         return self._demands[variant.name]
 
     def of_length(self, build: Callable[[Variant], Solver]) -> Solvers:
-        """The solvers of the same bake with another number of frames, of the same demand."""
+        """The solvers of the same bake with fewer frames, of the same demand.
+
+        With animated moduli the demand is that of the stiffest frame, which may be a later one.
+        """
         return Solvers(build, self._particles, keep=self._keep, demands=self._demands)
 
     def substeps(self, variant: Variant) -> int:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 LEAST = 16  # particles: what has fewer is no more than a lump
 REACH = 2.0  # [spacings] within which a mesh that is not filled touches a body
+LARGE = 0.8  # of the size of such a mesh: a smaller body does not carry it if it touches another
 CELL = 2.0  # [spacings] parts in neighboring cells have two planes of nodes or more in common
 
 
@@ -204,7 +205,7 @@ def _embedded(
     owners: dict[str, str],
 ) -> dict[str, int]:
     """The body that each surface moves with: its own, or the one nearest to most of its points;
-    where that is smaller than the surface, one that is not and that touches it, if there is one.
+    where that is smaller than LARGE times the surface, another that is not and touches it.
 
     filled : of the meshes that are filled, or parts of one (`Solid.filled`).
 
@@ -232,7 +233,9 @@ def _embedded(
             trees[mine] = kd_tree(particles.X[rows])
         near = rows[trees[mine].query(surface.points)[1]]
         k = int(np.bincount(body[near]).argmax())
-        large = sizes >= _sizes(surface.points, np.zeros(len(surface.points), int))
+        size = float(np.linalg.norm(np.ptp(surface.face_points, axis=0)))
+        # Particles are half a spacing within the surface of their body: a label is no larger.
+        large = sizes + REACH * particles.lattice >= LARGE * size
         if not large[k]:  # such as a tooth in an open head, which comes off
             k = _touched(surface.points, rows[large[body[rows]]], particles, body, k)
         out[surface.path] = k

@@ -51,7 +51,7 @@ def not_baked_notes(skipped: Iterable[tuple[str, str]]) -> tuple[str, ...]:
 
 
 # How meshes that are not filled move: of one, and of several.
-WITH_BODY = ("moves with the nearest body", "move with the nearest body")
+WITH_BODY = ("moves with a body near it", "move with bodies near them")
 SKINNED = (
     "follows its skinned pose, and the flesh near it,",
     "follow their skinned poses, and the flesh near them,",
