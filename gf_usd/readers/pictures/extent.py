@@ -16,7 +16,7 @@ from gf_usd.readers.notes import Notes
 from gf_usd.readers.pictures.prims import baked_bodies
 from gf_usd.readers.usd.implicit import IMPLICIT, tessellate
 from gf_usd.readers.usd.skeleton.skins import Skins
-from gf_usd.readers.usd.stage import SPLAT_TYPE, Placement, SkippedPrim, is_bake_particles
+from gf_usd.readers.usd.stage import SPLAT_TYPE, Placement, SkippedPrim, is_bake_particles, upwards
 
 SAMPLED_TIMES = 48  # maximal number of evenly spaced times for the boxes of a motion
 STATIC_MARGIN = (
@@ -86,11 +86,9 @@ def _skeleton_times(root: Usd.Prim) -> set[float]:
         if animation:
             times.update(animation.GetJointTransformTimeSamples())
             times.update(animation.GetBlendShapeWeightTimeSamples())
-        ancestor = skeleton.GetPrim()
-        while ancestor and not ancestor.IsPseudoRoot():
+        for ancestor in upwards(skeleton.GetPrim()):
             if xformable := UsdGeom.Xformable(ancestor):
                 times.update(xformable.GetTimeSamples())
-            ancestor = ancestor.GetParent()
     return times
 
 
@@ -101,10 +99,9 @@ def has_animated_visibility(prim: Usd.Prim) -> bool:
 
 def _visibilities(prim: Usd.Prim) -> Iterator[Usd.Attribute]:
     """The visibility attributes of a prim and its ancestors."""
-    while prim and not prim.IsPseudoRoot():
-        if visibility := UsdGeom.Imageable(prim).GetVisibilityAttr():
+    for one in upwards(prim):
+        if visibility := UsdGeom.Imageable(one).GetVisibilityAttr():
             yield visibility
-        prim = prim.GetParent()
 
 
 def is_visible(prim: Usd.Prim, time: Usd.TimeCode) -> bool:

@@ -21,7 +21,7 @@ from gf_usd.readers.usd.mesh import posed_points
 from gf_usd.readers.usd.select import named_prim
 from gf_usd.readers.usd.skeleton.joint_motion import lead_in
 from gf_usd.readers.usd.skeleton.skins import has_influences, unposed
-from gf_usd.readers.usd.stage import open_stage, reading
+from gf_usd.readers.usd.stage import open_stage, reading, upwards
 from gf_usd.readers.usd_physics.motion import bare_reading
 
 SAME = 1e-9  # entries of transforms that are alike differ by less
@@ -54,11 +54,11 @@ def animated_meshes(
             points = UsdGeom.PointBased(prim)
             if points and points.GetPointsAttr().GetNumTimeSamples() > 1:
                 found.add(path)
-            while path not in found and prim and not prim.IsPseudoRoot():
-                placed = UsdGeom.Xformable(prim)
-                if placed and prim.GetPath() not in common and _moves(placed, bool(beside)):
+            for above in () if path in found else upwards(prim):
+                placed = UsdGeom.Xformable(above)
+                if placed and above.GetPath() not in common and _moves(placed, bool(beside)):
                     found.add(path)
-                prim = prim.GetParent()
+                    break
     return found
 
 
@@ -90,10 +90,9 @@ def cache_range(file: Path, paths: Sequence[str], facts: StageFacts) -> tuple[fl
                 why = f" ({unposed(prim)})"
             if points := UsdGeom.PointBased(prim):
                 codes.update(points.GetPointsAttr().GetTimeSamples())
-            while prim and not prim.IsPseudoRoot():
-                if placed := UsdGeom.Xformable(prim):
+            for above in upwards(prim):
+                if placed := UsdGeom.Xformable(above):
                     codes.update(placed.GetTimeSamples())
-                prim = prim.GetParent()
     if len(codes) < 2:
         here = f"<{paths[0]}>" + (f" and {len(paths) - 1} more" if len(paths) > 1 else "")
         raise InputError(

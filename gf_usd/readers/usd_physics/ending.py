@@ -11,7 +11,7 @@ from pxr import Gf, Usd, UsdGeom, UsdSkel
 
 from gf_usd.core.asset import StageFacts
 from gf_usd.readers.usd.select import PROXIES, named_prim
-from gf_usd.readers.usd.stage import open_stage, reading
+from gf_usd.readers.usd.stage import open_stage, reading, upwards
 from gf_usd.readers.usd_physics.attachments import ANCHORS, KINDS
 from gf_usd.readers.usd_physics.motion import SHAPE, bare_reading
 
@@ -47,10 +47,8 @@ def _moved_by(prim: Usd.Prim) -> Iterable[Usd.Prim]:
 
 def _ends(prim: Usd.Prim, facts: StageFacts) -> Iterable[float]:
     """The ends of the motions of a prim, of those above it, and of those below it."""
-    above = prim.GetParent()
-    while above and not above.IsPseudoRoot():
+    for above in upwards(prim.GetParent()):
         yield from _of_one(above)
-        above = above.GetParent()
     skins = bare_reading(facts, Usd.TimeCode.EarliestTime()).skins
     for one in Usd.PrimRange(prim, PROXIES):
         yield from _of_one(one)
@@ -61,9 +59,8 @@ def _ends(prim: Usd.Prim, facts: StageFacts) -> Iterable[float]:
 
 
 def _ends_of_skeleton(animation: UsdSkel.AnimQuery | None, skeleton: Usd.Prim) -> Iterable[float]:
-    while skeleton and not skeleton.IsPseudoRoot():
-        yield from _of_one(skeleton)
-        skeleton = skeleton.GetParent()
+    for prim in upwards(skeleton):
+        yield from _of_one(prim)
     if animation:
         codes = animation.GetJointTransformTimeSamples()
         yield from _end(codes, animation.ComputeJointLocalTransforms)
