@@ -31,18 +31,28 @@ from pxr import Usd, UsdGeom, UsdSkel
 from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import StageFacts
 from gf_usd.core.errors import InputError
+from gf_usd.core.mesh.triangulation import triangulate
 from gf_usd.core.stage import Bone, Skeleton
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.usd.select import named_prim
 from gf_usd.readers.usd.skeleton.joint_motion import joint_motion, skeleton_world, skeleton_worlds
 from gf_usd.readers.usd.skeleton.rig import Rig, read_rig
+from gf_usd.readers.usd.skeleton.segments import (
+    FleshPoints,
+    beyond,
+    direction,
+    distance,
+    into_flesh,
+    point_areas,
+    slender,
+    to_segment,
+)
 from gf_usd.readers.usd.skeleton.skins import Skins
 from gf_usd.readers.usd.stage import open_stage, reading, upwards
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
 
-INTO_FLESH = 1.5  # length of a segment toward the mean of a joint's points, over their distance
 AWAY = 0.5  # of a joint's longest segment: a mean farther from all of them gets its own segment
 SHORT = 1e-6  # of the skeleton's size: a shorter segment is a point
 SOFT = 0.01  # of the skeleton's size: e of the weights of points without joint weights
@@ -220,8 +230,20 @@ def _add_flesh(
     np.add.at(dense, (np.arange(len(points))[:, None], known[index]), np.maximum(weights, 0.0))
     total = dense.sum(1, keepdims=True)
     rig.weights[str(prim.GetPath())] = dense / np.where(total > 0.0, total, 1.0)
-    rig.points.append(place.points(points) * facts.units.length)
+    placed = place.points(points) * facts.units.length
+    rig.points.append(placed)
+    rig.area.append(point_areas(placed, _triangles(prim, placed, skins.time)))
     rig.owner.append(owner)
+
+
+def _triangles(prim: Usd.Prim, points: Floats, time: Usd.TimeCode) -> NDArray[np.int64]:
+    """(T, 3) the triangles of a mesh with points (V, 3); (0, 3) of a prim without faces."""
+    if not prim.IsA(UsdGeom.Mesh):
+        return np.zeros((0, 3), np.int64)
+    mesh = UsdGeom.Mesh(prim)
+    counts = np.asarray(mesh.GetFaceVertexCountsAttr().Get(time), np.int64)
+    corners = np.asarray(mesh.GetFaceVertexIndicesAttr().Get(time), np.int64)
+    return triangulate(points, counts, corners)[0]
 
 
 def _add_loose(rig: Rig, path: str, points: Floats, facts: StageFacts, first: float) -> None:
@@ -234,21 +256,15 @@ def _add_loose(rig: Rig, path: str, points: Floats, facts: StageFacts, first: fl
         if not ends and rig.parents[j] >= 0:
             ends = [2.0 * start - at[rig.parents[j]]]
         ends = [end for end in ends if np.linalg.norm(end - start) > SHORT * size]
-        each = [_to_segment(points, start, end) for end in ends]
+        each = [to_segment(points, start, end) for end in ends]
         away[:, j] = np.min(each or [np.linalg.norm(points - start, axis=1)], axis=0)
     weights = (away + SOFT * size) ** -4.0
     weights /= weights.sum(1, keepdims=True)
     weights[weights < LEAST] = 0.0
     rig.weights[path] = weights / weights.sum(1, keepdims=True)
     rig.points.append(np.asarray(points, np.float64))
+    rig.area.append(np.ones(len(points)))
     rig.owner.append(weights.argmax(1))
-
-
-def _to_segment(points: Floats, start: Floats, end: Floats) -> NDArray[np.float64]:
-    """(n,) [m] distances of points (n, 3) from a segment."""
-    way = end - start
-    t = np.clip((points - start) @ way / (way @ way), 0.0, 1.0)
-    return np.asarray(np.linalg.norm(points - start - t[:, None] * way, axis=1))
 
 
 def _bones(rig: Rig, facts: StageFacts, first: float, times: Floats) -> dict[int, Bone]:
@@ -256,31 +272,32 @@ def _bones(rig: Rig, facts: StageFacts, first: float, times: Floats) -> dict[int
     unit = facts.units.length
     rest = skeleton_world(rig, first, facts)
     at = _through(rig.bind[:, 3, :3], rest) * unit
-    flesh, owner = np.concatenate(rig.points), np.concatenate(rig.owner)
-    size = float(np.linalg.norm(np.ptp(np.concatenate([at, flesh]), axis=0)))
+    flesh = FleshPoints(at=np.concatenate(rig.points), area=np.concatenate(rig.area))
+    owner = np.concatenate(rig.owner)
+    size = float(np.linalg.norm(np.ptp(np.concatenate([at, flesh.at]), axis=0)))
     motion = joint_motion(rig, facts, first, times)  # (F, J, 4, 4)
     worlds = skeleton_worlds(rig, facts, first, times)  # (F, 4, 4)
     corners = 0.25 * size * np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
     weighted = np.any([w.any(0) for w in rig.weights.values()], axis=0)
     out = {}
     for j in np.flatnonzero(weighted).tolist():
-        mine = flesh[owner == j]
+        mine = flesh.subset(owner == j)
         ends = [at[c] for c in np.flatnonzero(rig.parents == j)]
         ends = [end for end in ends if np.linalg.norm(end - at[j]) > SHORT * size and len(mine)]
         free = [False] * len(ends)
-        middle = mine.mean(0) if len(mine) else at[j]
+        middle = mine.mean() if len(mine) else at[j]
         longest = max((float(np.linalg.norm(end - at[j])) for end in ends), default=0.0)
-        if len(mine) and (not ends or _distance(middle, at[j], ends) > AWAY * longest):
+        if len(mine) and (not ends or distance(middle, at[j], ends) > AWAY * longest):
             if rig.parents[j] >= 0:
-                mine = _beyond(mine, at[j], at[rig.parents[j]])
-            ends.append(_into_flesh(mine, at[j]))
+                mine = beyond(mine, at[j], at[rig.parents[j]])
+            ends.append(into_flesh(mine, at[j]))
             free.append(True)
         elif len(ends) == 1 and rig.parents[j] < 0:
             # Behind a root with one child, such as the head of a fish whose root is in its neck.
-            behind = mine[(mine - at[j]) @ (at[j] - ends[0]) > 0.0]
-            reach = _slender(behind, at[j]) if len(behind) else 0.0
+            behind = mine.subset((mine.at - at[j]) @ (at[j] - ends[0]) > 0.0)
+            reach = slender(behind, at[j]) if len(behind) else 0.0
             if reach > SHORT * size:
-                ends.append(at[j] + reach * _direction(behind, at[j]))
+                ends.append(at[j] + reach * direction(behind, at[j]))
                 free.append(True)
         anchors = at[j] + corners
         local = _through(anchors / unit, np.linalg.inv(rest))
@@ -296,53 +313,6 @@ def _bones(rig: Rig, facts: StageFacts, first: float, times: Floats) -> dict[int
             path=path,
         )
     return out
-
-
-def _beyond(points: Floats, joint: Floats, parent: Floats) -> Floats:
-    """Those of points (n, 3) that lie beyond a joint as seen from its parent; all if none does.
-
-    The others lie along the segment of the parent, and would shorten a segment toward the mean or
-    turn it back.
-    """
-    beyond = points[(points - joint) @ (joint - parent) > 0.0]
-    return beyond if len(beyond) else points
-
-
-def _into_flesh(points: Floats, joint: Floats) -> Floats:
-    """End (3,) of a segment from a joint toward the mean of points (n, 3), also where these are
-    slender: then it ends before the last of them by half of their width.
-    """
-    reach = INTO_FLESH * float(np.linalg.norm(points.mean(0) - joint))
-    return np.asarray(joint + max(reach, _slender(points, joint)) * _direction(points, joint))
-
-
-def _direction(points: Floats, joint: Floats) -> Floats:
-    """(3,) unit vector from a joint to the mean of points (n, 3), and then to that of their farther
-    half: those around the joint, such as the skull behind a snout, would turn it.  0 where the
-    mean is the joint.
-    """
-    way = points.mean(0) - joint
-    along = (points - joint) @ way
-    way = points[along >= np.median(along)].mean(0) - joint
-    return np.asarray(way / max(float(np.linalg.norm(way)), np.finfo(float).tiny))
-
-
-def _slender(points: Floats, joint: Floats) -> float:
-    """[m] from a joint along the direction of points (n, 3) to the last one, less half their width:
-    the median of their distances from this line.  What a gap of more than half of that distance
-    separates, such as a mesh apart from the others, does not count.
-    """
-    way, at = _direction(points, joint), points - joint
-    along = at @ way
-    half = float(np.median(np.linalg.norm(at - along[:, None] * way, axis=1)))
-    steps = np.sort(along)
-    apart = np.flatnonzero(np.diff(steps) > max(2.0 * half, 0.5 * float(steps[-1])))
-    return float(steps[apart[0] if len(apart) else -1]) - half
-
-
-def _distance(point: Floats, start: Floats, ends: Sequence[Floats]) -> float:
-    """[m] distance of a point from the nearest of the segments that begin at `start`."""
-    return min((float(_to_segment(point[None], start, end)[0]) for end in ends), default=np.inf)
 
 
 def _through(points: Floats, matrix: Floats) -> Floats:

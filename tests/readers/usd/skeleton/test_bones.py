@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from arm import FIRST, LAST, WIDTH, arm, captured, points, skinned, write
+from pxr import Usd, UsdGeom
 
 from gf_usd.core.errors import InputError
 from gf_usd.core.stage import Bone
 from gf_usd.physics.grid.pins import Motion
 from gf_usd.readers import read_asset
 from gf_usd.readers.usd.skeleton.bones import (
-    _direction,
     animation_range,
     has_skeleton,
     lone_skeleton,
@@ -47,8 +47,10 @@ def test_flesh_before_the_last_joint_does_not_shorten_its_segment(tmp_path: Path
     _, lower = bones_of(write(tmp_path, arm(bind=bind)), [FIRST])
     ((start, end),) = lower.segments
     np.testing.assert_allclose(start, [1.7, 0, 0], atol=EPS)
-    # 1.5 times as far as the mean of the rings at 1.75 and 2.0
-    np.testing.assert_allclose(end, [1.7 + 1.5 * 0.175, 0, 0], atol=EPS)
+    # 1.5 times as far as the mean of the rings at 1.75, with 0.4 m^2 of the surface around it, and
+    # at 2.0, with 0.2 m^2 and the end of the arm
+    mean = (1.75 * 0.4 + 2.0 * (0.2 + WIDTH**2)) / (0.4 + 0.2 + WIDTH**2)
+    np.testing.assert_allclose(end, [1.7 + 1.5 * (mean - 1.7), 0, 0], atol=EPS)
 
 
 def test_the_last_segment_of_a_slender_limb_ends_half_its_width_before_the_tip(
@@ -64,12 +66,26 @@ def test_the_last_segment_of_a_slender_limb_ends_half_its_width_before_the_tip(
     assert lower.segments[0, 1, 0] == pytest.approx(2.0 - 0.2 * WIDTH * 0.5**0.5, abs=EPS)
 
 
-def test_a_bone_points_to_the_far_flesh_of_its_joint_not_to_what_is_around_it() -> None:
-    """The bone of a cow's head left its snout, below the line from the joint to the mean."""
-    around = np.array([(0.0, y, z) for y in (-0.2, 0.2) for z in (-0.2, 0.2)] * 3)
-    snout = np.array([(x, -0.5 * x, 0.0) for x in (0.4, 0.6, 0.8, 1.0)] * 3)
-    way = _direction(np.concatenate([around + (0.0, 0.1, 0.0), snout]), np.zeros(3))
-    np.testing.assert_allclose(way, np.array([1.0, -0.5, 0.0]) / 1.25**0.5, atol=1e-12)
+def test_corners_that_are_repeated_for_each_face_do_not_turn_a_segment(tmp_path: Path) -> None:
+    """The bone in the head of RiggedFigure, a box, ran to the corners with the most points, and the
+    head hung from it by 25 degrees.
+    """
+    path = write(tmp_path, arm())
+    shared = bones_of(path, [FIRST])
+    stage = Usd.Stage.Open(str(path))
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/Arm/Skin"))
+    corners = np.array(mesh.GetFaceVertexIndicesAttr().Get())
+    repeated = np.flatnonzero(corners % 4 == 2)  # those of one of the four edges along the arm
+    of_point = np.concatenate([np.arange(len(points())), corners[repeated]])
+    corners[repeated] = len(points()) + np.arange(len(repeated))
+    mesh.GetPointsAttr().Set(points()[of_point].tolist())
+    mesh.GetFaceVertexIndicesAttr().Set(corners.tolist())
+    for name in ("jointIndices", "jointWeights"):
+        values = mesh.GetPrim().GetAttribute(f"primvars:skel:{name}")
+        values.Set(np.array(values.Get()).reshape(-1, 2)[of_point].ravel().tolist())
+    stage.Save()
+    for one, other in zip(bones_of(path, [FIRST]), shared, strict=True):
+        np.testing.assert_allclose(one.segments, other.segments, atol=EPS)
 
 
 def test_slender_flesh_behind_a_root_has_a_bone(tmp_path: Path) -> None:
