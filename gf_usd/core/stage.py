@@ -375,6 +375,18 @@ class Skeleton:
 
 
 @dataclass(frozen=True, kw_only=True)
+class BlendShapes:
+    """Blend shapes of a surface whose weights change in the animation.
+
+    Its points are at X + sum_k w_k D_k of the rest shape, which has the weights of the first frame.
+    """
+
+    names: tuple[str, ...]
+    offsets: csr_matrix  # (3 V, K) [m] D of the points, in the rest pose, world
+    weights: Floats  # (F, K) w at each frame, less those of the first frame of the animation
+
+
+@dataclass(frozen=True, kw_only=True)
 class Pin:
     """A region with prescribed motion: fixed, or following the animation of the source.
 

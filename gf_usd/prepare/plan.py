@@ -23,7 +23,7 @@ from gf_usd.core.frames.settings import Settings, written
 from gf_usd.core.materials.laws import law_internals
 from gf_usd.core.materials.material import Material
 from gf_usd.core.materials.per_particle import summary
-from gf_usd.core.stage import Advice, ContactSetup, Goals, Pin
+from gf_usd.core.stage import Advice, BlendShapes, ContactSetup, Goals, Pin
 from gf_usd.prepare.bodies.plan import BodyPlan
 from gf_usd.prepare.options.table import arguments
 from gf_usd.prepare.outputs import Outputs, SplatSequence, Stamp, Stamps
@@ -75,6 +75,7 @@ class Plan:
     pins: tuple[Pin, ...] = ()
     goals: Goals | None = None
     sheets: Mapping[str, Sheet] = field(default_factory=dict)  # of characters, by prim path
+    shapes: Mapping[str, BlendShapes] = field(default_factory=dict)  # of characters, by prim path
     cycle: int = 0  # frames of a period that is repeated before it is written; 0: none is
     repeats: int = 0  # times that it is, at most where it ends by itself
     until_periodic: bool = False  # only until it is periodic

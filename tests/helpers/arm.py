@@ -218,3 +218,21 @@ def captured(folder: Path, count: int = 3000) -> Path:
     define(stage, "/Arm/Person", splats)
     stage.Save()
     return folder / "person.usda"
+
+
+def shaped(first: float, last: float) -> str:
+    """The arm with a blend shape, Bulge, which moves the ring at its middle by 0.2 m along z, at
+    weights at the first and the last time code.
+    """
+    weights = f"""uniform token[] blendShapes = ["Bulge"]
+        float[] blendShapeWeights.timeSamples = {{ {FIRST}: [{first!r}], {LAST}: [{last!r}] }}
+        half3[] scales"""
+    mesh = """uniform token[] skel:blendShapes = ["Bulge"]
+        rel skel:blendShapeTargets = </Arm/Skin/Bulge>
+        def BlendShape "Bulge"
+        {
+            uniform vector3f[] offsets = [(0, 0, 0.2), (0, 0, 0.2), (0, 0, 0.2), (0, 0, 0.2)]
+            uniform int[] pointIndices = [16, 17, 18, 19]
+        }
+"""
+    return arm(more=mesh).replace("half3[] scales", weights, 1)

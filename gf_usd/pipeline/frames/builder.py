@@ -22,6 +22,7 @@ from gf_usd.core.frames.frame import (
 )
 from gf_usd.core.frames.particles import Particles
 from gf_usd.core.frames.settings import Settings
+from gf_usd.core.stage import BlendShapes
 from gf_usd.pipeline.checkpoint import Checkpoint
 from gf_usd.pipeline.frames.captured import SplatDeformer
 from gf_usd.pipeline.frames.flows import FlowSurfaces
@@ -52,7 +53,7 @@ class FrameBuilder:
     observer : receives every frame.
     flows : the surfaces of flowing bodies; None: none are written.
     bodies : prim paths of each body.
-    sheets : of characters, by prim path: see `Sheet`.
+    sheets, shapes : of characters, by prim path: see `Sheet` and `with_shapes`.
     waiting : meshes that are replaced by particles once a particle of their body is converted.
     open_end : the motion may end before its last frame: see `at_end`.
     """
@@ -72,9 +73,10 @@ class FrameBuilder:
         *,
         bodies: Sequence[Sequence[str]] = (),
         sheets: Mapping[str, Sheet] | None = None,
+        shapes: Mapping[str, BlendShapes] | None = None,
         open_end: bool = False,
     ) -> None:
-        self._bodies, self._sheets = bodies, sheets or {}
+        self._bodies, self._sheets, self._shapes = bodies, sheets or {}, shapes or {}
         self._tets, self._observer, self._flows = tets, observer, flows
         waiting = waiting or {}
         self._waiting = frozenset(waiting.values())
@@ -133,12 +135,12 @@ class FrameBuilder:
 
         s = self._settings
         gaussians = self._track.advance(frame.particles)
-        poses = self._with_sheets(frame.embedded, frame.index)
+        poses = self._of_characters(frame.embedded, frame.index)
         if self._observer:
             self._observer.add_frame(frame, poses)
         if self._skin:
             skinned = self._skin.poses(frame.particles, self._track.turn)
-            poses = self._with_sheets(skinned, frame.index)
+            poses = self._of_characters(skinned, frame.index)
         meshes = {}
         splats = self._splats.poses(poses, s.time_code(frame.index))
         for surface in self._surfaces:
@@ -179,13 +181,16 @@ class FrameBuilder:
             },
         )
 
-    def _with_sheets(self, poses: Mapping[str, Pose], index: int) -> Mapping[str, Pose]:
-        """The poses of embedded points at a frame, with those of sheets."""
-        sheets = {path: one for path, one in self._sheets.items() if path in poses}
-        time = self._settings.frame_time
-        return dict(poses) | {
-            path: sheet.pose(poses[path], index, time) for path, sheet in sheets.items()
-        }
+    def _of_characters(self, poses: Mapping[str, Pose], index: int) -> Mapping[str, Pose]:
+        """The poses of embedded points at a frame, with those of sheets and with blend shapes."""
+        from gf_usd.geometry.flesh.shapes import with_shapes
+
+        out, time = dict(poses), self._settings.frame_time
+        for path in self._sheets.keys() & out.keys():
+            out[path] = self._sheets[path].pose(out[path], index, time)
+        for path in self._shapes.keys() & out.keys():
+            out[path] = with_shapes(out[path], self._shapes[path], index, time)
+        return out
 
     def _converted(self, frame: Frame) -> frozenset[int]:
         """Bodies of `waiting` that flow in a frame."""

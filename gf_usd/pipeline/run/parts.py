@@ -150,5 +150,6 @@ def frame_builder(
         dict(plan.choices.converting),
         bodies=plan.bodies.surfaces if plan.bodies else (),
         sheets=plan.sheets,
+        shapes=plan.shapes,
         open_end=plan.choices.until_rest or plan.choices.settled,
     )  # fmt: skip

@@ -213,6 +213,7 @@ def fill(
         pins=constraints.pins,
         goals=goals,
         sheets=constraints.flesh.sheets,
+        shapes=constraints.flesh.shapes,
         cycle=constraints.cycle if request.cycles.repeats else 0,
         repeats=request.cycles.repeats,
         until_periodic=request.cycles.until_periodic,

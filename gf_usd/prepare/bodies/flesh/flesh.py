@@ -14,7 +14,7 @@ from gf_usd.core.asset import Asset, Surface
 from gf_usd.core.errors import InputError
 from gf_usd.core.frames.particles import SurfaceSamples
 from gf_usd.core.frames.settings import Settings
-from gf_usd.core.stage import Goals, Pin, Skeleton
+from gf_usd.core.stage import BlendShapes, Goals, Pin, Skeleton
 from gf_usd.core.units import code_text
 from gf_usd.prepare.bodies.flesh.animation import animation_times, at_frames, require_closed
 from gf_usd.prepare.bodies.flesh.characters import character_paths, overlap_notes
@@ -23,11 +23,17 @@ from gf_usd.prepare.bodies.flesh.mesh_notes import (
     apart_note,
     hanging_notes,
     loose_note,
+    shapes_notes,
     soft_note,
     thin_note,
     worn_note,
 )
-from gf_usd.prepare.bodies.flesh.poses import Poses, joined_poses, read_bones
+from gf_usd.prepare.bodies.flesh.poses import (
+    Poses,
+    changing_shapes,
+    joined_poses,
+    read_bones,
+)
 from gf_usd.prepare.pins import FREE
 from gf_usd.prepare.settings import Animation
 
@@ -53,6 +59,7 @@ class Flesh:
     rigid: tuple[str, ...] = ()  # what of --rigid moves with its joints
     poses: Poses | None = None  # of all frames
     sheets: Mapping[str, Sheet] = field(default_factory=dict)  # by prim path
+    shapes: Mapping[str, BlendShapes] = field(default_factory=dict)  # by prim path
 
 
 def flesh_of(
@@ -92,6 +99,7 @@ def flesh_of(
         rigid=tuple(dict.fromkeys(name for one in every for name in one.rigid)),
         poses=joined_poses([one.poses for one in every if one.poses]),
         sheets={path: sheet for one in every for path, sheet in one.sheets.items()},
+        shapes={path: shapes for one in every for path, shapes in one.shapes.items()},
     )
 
 
@@ -137,6 +145,7 @@ def _of_character(
         radius=radius, cell=cell, spacing=spacing,
     )  # fmt: skip
     skeleton = at_frames(skeleton, frame_rows.tolist())
+    shapes = changing_shapes(asset, animation, file, different, frame_rows)
     if cycle and repeats:
         require_closed(asset, skeleton, lead, cycle)
     jumps = () if cycle else jump_notes(skeleton, times, lead)
@@ -156,7 +165,7 @@ def _of_character(
     held = {path for pin in pins for path in pin.meshes}
     found: dict[str, Any] = {
         "pins": pins, "rigid": tuple(kept), "poses": poses,
-        "sheets": skinned_sheets(asset.surfaces, solid, skeleton, held),
+        "sheets": skinned_sheets(asset.surfaces, solid, skeleton, held), "shapes": shapes,
     }  # fmt: skip
     limits = None
     if squish is not None or stretch is not None:
@@ -164,7 +173,7 @@ def _of_character(
     painted, frequency, goal_notes = _goal_weights(
         asset, solid, skeleton, cores, goals_painted, frequency, cell
     )
-    notes = (*jumps, *notes, *pin_notes, *goal_notes)
+    notes = (*jumps, *notes, *shapes_notes(shapes), *pin_notes, *goal_notes)
     if frequency is None and limits is None:
         return Flesh(notes=notes, **found)
     goals, key_notes = _springs(

@@ -4,9 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from gf_usd.core.stage import BlendShapes
 from gf_usd.core.units import length_text, percent_text
 
 HANGING = 0.25  # share of the points of a mesh at the flesh that supports it, below which it hangs
+
+
+def shapes_notes(shapes: Mapping[str, BlendShapes]) -> tuple[str, ...]:
+    """Notes on the blend shapes of meshes that change."""
+    return tuple(
+        f"the blend shape{'s' * (len(one.names) > 1)} {_names(one.names)} of <{path}> change"
+        f"{'s' * (len(one.names) == 1)}: the surface follows on top of the motion of its flesh,"
+        f" which does not feel it; neither do particles and Gaussians follow"
+        for path, one in shapes.items()
+    )
+
+
+def _names(names: Sequence[str]) -> str:
+    """The first three of some names, and how many more there are."""
+    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
 def loose_note(paths: Sequence[str]) -> tuple[str, ...]:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats
+from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Asset
 from gf_usd.core.frames.particles import SurfaceSamples
-from gf_usd.core.stage import Skeleton
+from gf_usd.core.stage import BlendShapes, Skeleton
 from gf_usd.prepare.bodies.flesh.animation import surface_points
 from gf_usd.prepare.settings import Animation
 
@@ -76,6 +76,23 @@ def read_bones(
         f" animated points as bones"
     )
     return skeleton, cores, Poses(lowest=min(lows)), (note,)
+
+
+def changing_shapes(
+    asset: Asset, animation: Animation, file: Path, times: Floats, frame_rows: Ints
+) -> dict[str, BlendShapes]:
+    """The blend shapes of the surfaces whose weights change, by prim path.
+
+    times : different time codes of the animation; frame_rows : of each frame, in `times`.
+    """
+    from gf_usd.readers.usd.skeleton.blend_shapes import read_blend_shapes
+
+    if animation.cached:
+        return {}
+    paths = [s.path for s in asset.surfaces if s.splats is None]
+    when = {"first": animation.first, "times": times.tolist()}
+    found = read_blend_shapes(file, paths, asset.facts, **when)
+    return {p: replace(one, weights=one.weights[frame_rows]) for p, one in found.items()}
 
 
 def _with_lows(

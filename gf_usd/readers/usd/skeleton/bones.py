@@ -74,6 +74,7 @@ def animation_range(
             animation = rig.query.GetAnimQuery()
             if animation:
                 codes.update(animation.GetJointTransformTimeSamples())
+                codes.update(animation.GetBlendShapeWeightTimeSamples())
             for one in upwards(rig.prim):
                 if placed := UsdGeom.Xformable(one):
                     codes.update(placed.GetTimeSamples())

@@ -24,7 +24,7 @@ class SkinnedPlacement(Placement):
     skin: UsdSkel.SkinningQuery
     time: Usd.TimeCode
     notes: Notes
-    bind: bool = False  # in the bind pose, without joint transforms and blend shapes
+    bind: bool = False  # in the bind pose, without joint transforms
 
     @property
     def skinned(self) -> bool:
@@ -42,13 +42,13 @@ class SkinnedPlacement(Placement):
 
     def points(self, points: Floats) -> Floats:
         """(V, 3) authored points to skinned world points."""
-        if self.bind:
-            if self.skin.HasBlendShapes():
-                self._remark("its blend shapes are left out of the bind pose")
-            return super().points(self._bound(points))
         posed = Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(points, dtype=np.float32))
         if self.skin.HasBlendShapes():
             self._blend(posed)
+        if self.bind:
+            blended = np.array(posed, dtype=np.float64).reshape(-1, 3)
+            M = self.bind_matrix
+            return super().points(blended @ M[:3, :3] + M[3, :3])
         if self.skin.HasJointInfluences():
             joints = self.skeleton.ComputeSkinningTransforms(self.time)
             self.skin.ComputeSkinnedPoints(joints, posed, self.time)
@@ -56,12 +56,12 @@ class SkinnedPlacement(Placement):
 
     def normals(self, normals: Floats, carriers: NDArray[np.int64]) -> Floats:
         """(K, 3) authored normals to world space, by the joints of the points `carriers` (K,)."""
+        if self.skin.HasBlendShapes():
+            self._remark("its normals follow its joints, but not its blend shapes")
         if self.bind:
             if self.skin.HasJointInfluences() and np.linalg.det(self._bind) != 0.0:
                 normals = normals @ np.linalg.inv(self._bind).T
             return super().normals(normals, carriers)
-        if self.skin.HasBlendShapes():
-            self._remark("its normals follow its joints, but not its blend shapes")
         if self.skin.HasJointInfluences():
             posed = self._skin_normals(normals, carriers)
             if posed is None:
@@ -70,12 +70,12 @@ class SkinnedPlacement(Placement):
                 normals = posed
         return super().normals(normals, carriers)
 
-    def _bound(self, points: Floats) -> Floats:
-        """(V, 3) authored points to skeleton space, by the bind transform, before skinning."""
+    @property
+    def bind_matrix(self) -> NDArray[np.float64]:
+        """(4, 4) bind transform from the mesh to skeleton space, row vectors, before skinning."""
         if not self.skin.HasJointInfluences():
-            return points
-        matrix = np.array(self.skin.GetGeomBindTransform(self.time))
-        return points @ matrix[:3, :3] + matrix[3, :3]
+            return np.eye(4)
+        return np.array(self.skin.GetGeomBindTransform(self.time), dtype=np.float64)
 
     def _skin_normals(self, normals: Floats, carriers: NDArray[np.int64]) -> Floats | None:
         """(K, 3) normals skinned in skeleton space; None where the influences do not allow it."""
