@@ -39,6 +39,9 @@ REACH = 0.1  # of the size of the flesh: D
 # points inside them.
 FILLED, PASSING, INSIDE = 0.2, 0.25, 0.25
 ALONG, HELD = 25, 0.1  # points along a bone, and the share of them by which it is in a mesh
+# times the thickness: bones of which less is in a mesh go through its wall, as into the sleeve of a
+# jacket, at up to 75 degrees from its normal
+THROUGH = 4.0
 PROBES = 4_000  # points in the box of a mesh, by which its volume is compared
 
 
@@ -168,27 +171,29 @@ def thin_sheets(solid: Solid, skeleton: Skeleton, spacing: float) -> dict[str, f
     """The mean thickness [m] of the filled meshes that are closed sheets, by prim path.
 
     It is 2 V / A, that of a wall of volume V with an area A on both sides, and less than the
-    spacing [m] of the particles.  A mesh with a bone in it is flesh, however thin, and one of a
-    single joint moves rigidly.
+    spacing [m] of the particles.  A mesh with a bone in it, not just through it, is flesh, however
+    thin, and one of a single joint moves rigidly.
 
     Empty where no other mesh has a bone in it.
     """
     single = single_joint_meshes(skeleton)
     segments = np.concatenate([np.zeros((0, 2, 3)), *(b.segments for b in skeleton.bones)])
     along = np.linspace(0.0, 1.0, ALONG)[:, None]
-    X = segments[:, None, 0] + along * (segments[:, None, 1] - segments[:, None, 0])
+    ways = segments[:, 1] - segments[:, 0]
+    X = segments[:, None, 0] + along * ways[:, None]
+    lengths = np.linalg.norm(ways, axis=1)
     found, flesh = {}, False
     for surface, triangles, bounds in zip(
         solid.surfaces, solid.triangles, solid.bounds, strict=True
     ):
-        inside = bounds.inside(X.reshape(-1, 3)).reshape(X.shape[:2]).sum(1)
-        if inside.max(initial=0) >= HELD * ALONG:
+        share = bounds.inside(X.reshape(-1, 3)).reshape(X.shape[:2]).mean(1)
+        area = float(areas(surface.points, triangles).sum())
+        thickness = 2.0 * abs(surface.signed_volume) / area if area else 0.0
+        least = THROUGH * thickness if thickness < spacing else 0.0
+        if ((share >= HELD) & (share * lengths >= least)).any():
             flesh = True
-        elif surface.path in skeleton.weights and surface.path not in single:
-            area = float(areas(surface.points, triangles).sum())
-            thickness = 2.0 * abs(surface.signed_volume) / area if area else 0.0
-            if thickness < spacing:
-                found[surface.path] = thickness
+        elif thickness < spacing and surface.path in skeleton.weights.keys() - single.keys():
+            found[surface.path] = thickness
     return found if flesh else {}
 
 

@@ -151,6 +151,16 @@ def wall(path: str, thickness: float) -> Surface:
     return solids.surface(turned, np.array(mesh.faces), path)
 
 
+def test_a_bone_through_the_wall_of_a_jacket_is_not_in_it() -> None:
+    """A sixth of the short bone from the chest to the arm was, and the thin jacket was filled."""
+    skirt = wall("/skirt", 0.02)
+    ways = np.array([[[0.0, 0.2, 0.0], [0.0, 1.8, 0.0]], [[0.38, 1.0, 0.0], [0.5, 1.0, 0.0]]])
+    bone = Bone(name="0", segments=ways, free=(False, False), anchors=CORNERS, path=CORNERS[None])
+    weights = {s.path: csr_matrix(np.tile([0.5, 0.5], (len(s.points), 1))) for s in (BODY, skirt)}
+    skeleton = Skeleton(bones=(bone, bone), weights=weights)
+    assert list(thin_sheets(solids.solid(BODY, skirt), skeleton, spacing=0.05)) == ["/skirt"]
+
+
 @pytest.mark.parametrize(
     ("thickness", "joints", "bone", "thin"),
     [

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Usd, UsdGeom, UsdSkel
 
-from gf_usd.core.arrays import Floats
+from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import StageFacts
 from gf_usd.core.stage import BlendShapes
 from gf_usd.readers.notes import Notes
@@ -81,9 +81,8 @@ def _changing(
         np.add.at(every[row], subs, values)
         shape_of[subs] = shapes
     changes = every[1:] - every[0]
-    known = _offsets(query, len(points))
-    rows = [k for k in np.flatnonzero(np.any(changes != 0.0, axis=0)).tolist() if k in known]
-    rows = [k for k in rows if known[k].any()]
+    known = _offsets(query, np.flatnonzero(np.any(changes != 0.0, axis=0)), len(points))
+    rows = [k for k, offsets in known.items() if offsets.any()]
     if not rows:
         return None
     names = [str(name) for name in place.skin.GetBlendShapeOrder()]
@@ -91,11 +90,14 @@ def _changing(
     return tuple(used), np.stack([known[k] for k in rows]), changes[:, rows]
 
 
-def _offsets(query: UsdSkel.BlendShapeQuery, count: int) -> dict[int, NDArray[np.float64]]:
-    """(count, 3) offsets of the points by each sub-shape that matches them."""
+def _offsets(
+    query: UsdSkel.BlendShapeQuery, rows: Ints, count: int
+) -> dict[int, NDArray[np.float64]]:
+    """(count, 3) offsets of the points by each of some sub-shapes that match them, by its row."""
     indices, out = query.ComputeBlendShapePointIndices(), {}
-    for k, values in enumerate(query.ComputeSubShapePointOffsets()):
-        given = np.asarray(values, np.float64).reshape(-1, 3)
+    every = query.ComputeSubShapePointOffsets()
+    for k in rows.tolist():
+        given = np.asarray(every[k], np.float64).reshape(-1, 3)
         of_points = np.asarray(indices[query.GetBlendShapeIndex(k)], int)
         if not len(of_points):
             of_points = np.arange(count)
