@@ -136,8 +136,9 @@ REACH = 1.0
 def loose_meshes(
     skeleton: Skeleton, bound: Mapping[str, int], solid: Solid, cores: Cores, cell: float
 ) -> tuple[list[str], dict[str, float]]:
-    """Meshes bound to several joints that neither a core nor flesh with a core holds, and the share
-    of the points of each other one without a core that is near the flesh that holds it.
+    """Meshes bound to several joints that neither a core of their own nor flesh with one holds, and
+    the share of the points of each other one without such a core that is near the flesh that holds
+    it.
 
     cell : [m] edge of a cell.
     """
@@ -146,8 +147,7 @@ def loose_meshes(
         for s, t in zip(solid.surfaces, solid.triangles, strict=True)
         if s.path in skeleton.weights and s.path not in bound
     }
-    inner = np.concatenate([core.points[core.radius > 0.0] for core in cores.cores])
-    held = [path for path, (_, shape) in shapes.items() if shape.encloses(inner).any()]
+    held = _with_cores({path: shape for path, (_, shape) in shapes.items()}, cores)
     if not held:
         return [], {}
     left = [path for path in shapes if path not in held]
@@ -158,6 +158,20 @@ def loose_meshes(
         held += [one for one in left if near[one] > 0.0]
         left = [one for one in left if near[one] == 0.0]
     return left, {path: share for path, share in near.items() if share > 0.0}
+
+
+def _with_cores(shapes: Mapping[str, Shape], cores: Cores) -> list[str]:
+    """The meshes with cores of their own: more than half of the points of cores in one are in none
+    of those with more.  The others are around flesh, as a coat whose wall an arm goes through.
+    """
+    inner = np.concatenate([core.points[core.radius > 0.0] for core in cores.cores])
+    within = {path: shape.encloses(inner) for path, shape in shapes.items()}
+    taken, found = np.zeros(len(inner), bool), []
+    for path, here in sorted(within.items(), key=lambda one: -int(one[1].sum())):
+        if _has_own(here, taken):
+            found.append(path)
+            taken |= here
+    return found
 
 
 def _near_share(mesh: tuple[Floats, Shape], other: tuple[Floats, Shape], reach: float) -> float:

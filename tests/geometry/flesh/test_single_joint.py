@@ -44,6 +44,14 @@ def test_what_no_flesh_reaches_is_loose_and_what_it_reaches_at_its_end_is_measur
     assert near["plume"] == pytest.approx(0.15 / 3.0, abs=0.06)
 
 
+def test_a_coat_whose_wall_a_core_goes_through_is_not_held_by_it() -> None:
+    """A thick coat was held by the cores of the arms in its wall, and hung to twice its length."""
+    left, near = loose(body=(0.0, 1.0), coat=(0.6, 3.0))
+    assert left == []
+    # what is in the body or within a cell of it
+    assert near == {"coat": pytest.approx((1.0 + CELL - 0.6) / 2.4, abs=0.06)}
+
+
 def test_meshes_of_one_joint_and_bodies_without_cores_are_not_judged():
     assert loose({"hat": 0}, **SPANS)[0] == []
     assert loose(hat=SPANS["hat"]) == ([], {})

@@ -47,6 +47,7 @@ if TYPE_CHECKING:
 BONE_RADIUS = 0.5  # of the distance to the skin
 GOAL_FREQUENCY = 4.0  # [Hz] of painted goals: flesh of a person swings at 3 to 6
 GOAL_DAMPING = 0.5
+HANGING = 0.25  # share of the points of a mesh at the flesh that supports it, below which it hangs
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -249,9 +250,10 @@ def _goal_weights(
     cell: float,
 ) -> tuple[dict[str, Floats], float | None, tuple[str, ...]]:
     """Goal weights by prim path, the frequency [Hz] of their springs, and notes: painted ones, or,
-    where neither these nor a frequency are given, those of meshes that no flesh supports.  The
-    frequency is None where there are no springs.
+    where neither these nor a frequency are given, those of meshes that little or no flesh supports.
+    The frequency is None where there are no springs.
     """
+    from gf_usd.geometry.flesh.goals import UNPAINTED
     from gf_usd.geometry.flesh.single_joint import loose_meshes, single_joint_meshes
 
     if frequency is not None:
@@ -260,9 +262,11 @@ def _goal_weights(
         note = f"painted goals are springs of {GOAL_FREQUENCY:g} Hz: --goal-frequency"
         return painted, GOAL_FREQUENCY, (note,)
     loose, near = loose_meshes(skeleton, single_joint_meshes(skeleton), solid, cores, cell)
-    notes = (*loose_note(loose), *hanging_notes(near))
-    if loose:
-        return _held(asset.surfaces, loose), GOAL_FREQUENCY, notes
+    hanging = {path: share for path, share in near.items() if share < HANGING}
+    notes = (*loose_note(loose), *hanging_notes(hanging, GOAL_FREQUENCY))
+    if loose or hanging:
+        goals = dict.fromkeys(loose, 1.0) | dict.fromkeys(hanging, UNPAINTED)
+        return _held(asset.surfaces, goals), GOAL_FREQUENCY, notes
     return painted, None, notes
 
 
@@ -297,9 +301,9 @@ def _springs(
     return goals, notes
 
 
-def _held(surfaces: Sequence[Surface], paths: Sequence[str]) -> dict[str, Floats]:
-    """Goal weights at the face corners of surfaces, by prim path: 1 of those named, else 0."""
+def _held(surfaces: Sequence[Surface], goals: Mapping[str, float]) -> dict[str, Floats]:
+    """Goal weights at the face corners of surfaces, by prim path: those given, else 0."""
     return {
-        one.path: np.full(int(np.sum(one.face_counts)), 1.0 if one.path in paths else 0.0)
+        one.path: np.full(int(np.sum(one.face_counts)), goals.get(one.path, 0.0))
         for one in surfaces
     }

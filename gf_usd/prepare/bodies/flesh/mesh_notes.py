@@ -7,8 +7,6 @@ from collections.abc import Mapping, Sequence
 from gf_usd.core.stage import BlendShapes
 from gf_usd.core.units import length_text, percent_text
 
-HANGING = 0.25  # share of the points of a mesh at the flesh that supports it, below which it hangs
-
 
 def shapes_notes(shapes: Mapping[str, BlendShapes]) -> tuple[str, ...]:
     """Notes on the blend shapes of meshes that change."""
@@ -42,14 +40,16 @@ def loose_note(paths: Sequence[str]) -> tuple[str, ...]:
     )
 
 
-def hanging_notes(near: Mapping[str, float]) -> tuple[str, ...]:
-    """Notes on meshes of several joints that the flesh supports at few of their points."""
+def hanging_notes(near: Mapping[str, float], frequency: float) -> tuple[str, ...]:
+    """Notes on meshes of several joints that the flesh supports at few of their points.
+
+    near : the share of these, by prim path; frequency : [Hz] of the springs that hold the others.
+    """
     return tuple(
         f"<{path}> follows several joints, and only {percent_text(share)} of its points are near"
-        f" the flesh that holds it: the rest hangs from there; --goal-frequency pulls it to its"
-        f" skinned pose"
+        f" the flesh that holds it: springs of {frequency:g} Hz pull it to its skinned pose,"
+        f" because the rest would hang from there; --goal-frequency gives all flesh springs instead"
         for path, share in near.items()
-        if share < HANGING
     )
 
 
