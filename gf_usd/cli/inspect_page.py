@@ -226,10 +226,10 @@ def _part(part: Part, unit: float) -> Sequence[str]:
 
 def _notes(seen: Inspection) -> list[str]:
     """Notes that the page does not show elsewhere, and harmless oddities of the meshes."""
-    from gf_usd.prepare.fill.notes import not_baked_notes
+    from gf_usd.prepare.fill.notes import advice_notes, not_baked_notes
 
     left = set(not_baked_notes(seen.asset.skipped))
-    left |= {one.note for one in (seen.plan.advice if seen.plan else ())}
+    left |= set(advice_notes(seen.plan.advice if seen.plan else ()))
     notes = [note for note in seen.notes if note not in left]
     for mesh in seen.diagnoses:
         odd = [

@@ -270,10 +270,10 @@ class Advice:
     by: str = "names"  # names | stage | name of an advisor
 
     @property
-    def note(self) -> str:
-        """One line for a person."""
+    def chosen(self) -> str:
+        """The material and why, without the prim, as a text for a person."""
         how = f"{self.confidence:.2f}" + ("" if self.by == "names" else f", by {self.by}")
-        return f"<{self.path}> is {self.material} ({how}): {self.reason}"
+        return f"{self.material} ({how}): {self.reason}"
 
 
 @dataclass(frozen=True, kw_only=True)

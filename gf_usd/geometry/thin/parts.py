@@ -166,9 +166,13 @@ def _with_specks(
             far = True  # from all of them
             continue
         row = np.array([rows.get((surface.path, k), -1) for k in range(label.max() + 1)])[label]
-        corners = triangles[row >= 0]
-        ends.append(surface.points[corners].reshape(-1, 3))
-        owner.append(np.repeat(row[row >= 0], 3))
+        # each vertex of a part once: some six triangles share it
+        of, vertex = np.divmod(
+            np.unique(row[row >= 0, None] * len(surface.points) + triangles[row >= 0]),
+            len(surface.points),
+        )
+        ends.append(surface.points[vertex])
+        owner.append(of)
         rest.append(triangles[row < 0] + first)
         points.append(surface.points)
         first += len(surface.points)
@@ -181,9 +185,11 @@ def _with_specks(
         squared = igl.point_mesh_squared_distance(
             X - center, whole - center, others.astype(np.int64)
         )[0]
+        whose = np.concatenate(owner)
+        np.minimum.at(gap, whose, np.sqrt(np.asarray(squared).reshape(-1)))
         # one that pierces another has no end near its surface
-        squared = np.where(Bounds(whole, others).inside(X), 0.0, np.asarray(squared).reshape(-1))
-        np.minimum.at(gap, np.concatenate(owner), np.sqrt(squared))
+        clear = np.flatnonzero(gap[whose] > APART * spacing)
+        gap[whose[clear[Bounds(whole, others).inside(X[clear])]]] = 0.0
     return [
         replace(part, speck=bool(small[k] and gap[k] > APART * spacing))
         for k, part in enumerate(parts)

@@ -73,7 +73,7 @@ def by_names(subject: Subject, file: str = "") -> Advice:
         )  # fmt: skip
     return Advice(
         path=subject.path, material=FALLBACK, confidence=0.0,
-        reason=f"no name or label of it is known; {FALLBACK} is assumed",
+        reason=f"no name or label is known; {FALLBACK} is assumed",
     )  # fmt: skip
 
 

@@ -61,6 +61,7 @@ from gf_usd.prepare.fill.materials import (
 )
 from gf_usd.prepare.fill.meshes import build_meshes
 from gf_usd.prepare.fill.notes import (
+    advice_notes,
     no_internals_notes,
     not_baked_notes,
     not_filled_notes,
@@ -184,7 +185,7 @@ def fill(
     joined_to = {path for pin in constraints.pins for path in pin.meshes}
     notes = (
         *_ground_notes(inputs, scenery), *_asset_notes(asset, shot.animation),
-        *(one.note for one in advice), *meshes.notes, *filled.count_notes, *flow_notes,
+        *(advised := advice_notes(advice)), *meshes.notes, *filled.count_notes, *flow_notes,
         *stage_notes, *_floor_notes(floating, asset, constraints.flesh.poses),
         *shot.notes, *length.notes, *constraints.attachment_notes, *goal_notes,
         *filled.resolution_notes, *filled.bodies.notes, *overlap_notes,
@@ -229,7 +230,7 @@ def fill(
         lost=meshes.lost,
         heavy=heavy,
         stated_heavy=stated_heavy,
-        notes=merged(notes, [one.note for one in advice]),
+        notes=merged(notes, advised),
     )
     return plan, solid
 

@@ -11,6 +11,7 @@ from gf_usd.core.materials.material import Material
 from gf_usd.prepare import paper as paper_options
 
 if TYPE_CHECKING:
+    from gf_usd.core.stage import Advice
     from gf_usd.geometry.solid import Solid
 
 MOST_NAMED = 3  # prims that each have a note of their own for the same reason
@@ -85,6 +86,14 @@ def not_filled_notes(
         note(*group, way)
         for way in (WITH_BODY, SKINNED, WITH_JOINT)
         for group in _by_reason(one for one in left if way_of(one[0]) is way)
+    )
+
+
+def advice_notes(advice: Sequence[Advice]) -> tuple[str, ...]:
+    """The notes on the materials that ``--material auto`` chose."""
+    return tuple(
+        f"<{path}> and {more} more are {chosen}" if more else f"<{path}> is {chosen}"
+        for path, more, chosen in _by_reason((one.path, one.chosen) for one in advice)
     )
 
 

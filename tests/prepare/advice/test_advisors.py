@@ -84,7 +84,7 @@ def test_the_answer_comes_in_the_order_of_the_subjects_with_the_advisors_name(in
 def test_an_unsure_answer_becomes_rubber(installed):
     installed(PLUGIN, mine="unsure")
     assert [a.material for a in ask_advisor("mine", QUESTION)] == ["rubber", "rubber"]
-    assert "jelly is too uncertain, 0.10 < 0.3" in ask_advisor("mine", QUESTION)[0].note
+    assert "jelly is too uncertain, 0.10 < 0.3" in ask_advisor("mine", QUESTION)[0].chosen
 
 
 def test_an_unknown_name_lists_those_that_are_there(installed):

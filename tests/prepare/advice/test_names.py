@@ -16,6 +16,7 @@ from gf_usd.prepare.advice.names import (
     phrases_in,
     split,
 )
+from gf_usd.prepare.fill.notes import advice_notes
 
 
 @pytest.mark.parametrize(
@@ -53,7 +54,7 @@ def test_words_name_presets(name, material):
 def test_part_of_a_word_is_no_word(name):
     advice = by_names(Subject(path=f"/{name}"))
     assert (advice.material, advice.confidence) == ("rubber", 0.0)
-    assert "no name or label of it is known; rubber is assumed" in advice.reason
+    assert "no name or label is known; rubber is assumed" in advice.reason
 
 
 def test_every_list_names_a_preset_and_no_phrase_stands_in_two():
@@ -135,3 +136,15 @@ def test_longer_phrases_use_their_words_up():
         ("hard rubber", "hard-rubber"),
         ("rubber foam", "foam"),
     ]
+
+
+def test_meshes_without_a_known_name_share_a_note():
+    """A spider of 13 meshes had 13 notes that said only that nothing was known."""
+    advice = [by_names(Subject(path=f"/Spider/Bein{k}")) for k in range(9)]
+    advice.insert(4, by_names(Subject(path="/Spider/SteelFang")))
+    assert advice_notes(advice) == (
+        "</Spider/Bein0> and 8 more are rubber (0.00): no name or label is known; rubber is"
+        " assumed",
+        "</Spider/SteelFang> is metal (0.70): its name 'SteelFang' says 'steel'",
+    )
+    assert len(advice_notes(advice[:3])) == 3, "few are listed one by one"

@@ -91,10 +91,14 @@ def open_gltf(path: Path) -> Gltf:
         raise InputError(
             f"{path} is not a glTF file: it has no 'asset'", "check the type of the file"
         )
-    require_types(path, tree)
     version = tree["asset"].get("version", "")
-    if not version.startswith("2."):
-        raise InputError(f"{path} is glTF {version or 'without a version'}", "export it as glTF 2")
+    # before the types of glTF 2: glTF 1 refers to rows by name, not by number
+    if not str(version).startswith("2."):
+        raise InputError(
+            f"{path} is glTF {version or 'without a version'}; only glTF 2 can be read",
+            "export it as glTF 2, or convert it in a program that reads both",
+        )
+    require_types(path, tree)
     _require_understood(path, tree)
     found = Gltf(path=path, tree=tree, buffers=(), inputs=(path,))
     buffers, inputs = [], [path]

@@ -478,6 +478,11 @@ def test_damaged_containers_are_refused(tmp_path):
         (b"\x89PNG and so on", "is not a valid glTF file: its JSON"),
         (b"[1, 2]", "is not a glTF file: it has no 'asset'"),
         (json.dumps({"asset": {"version": "1.0"}}).encode(), "is glTF 1.0"),
+        (
+            json.dumps({"asset": {"version": "1.0"}, "scene": "main", "meshes": {}}).encode(),
+            "is glTF 1.0; only glTF 2 can be read",
+        ),
+        (json.dumps({"asset": {"version": 1}}).encode(), "is glTF 1;"),
         (b"version https://git-lfs.github.com/spec/v1\n", "is a git-lfs pointer"),
     ):
         path = tmp_path / "thing.glb"
