@@ -136,6 +136,8 @@ def test_a_name_stands_for_the_same_parameter_in_every_law() -> None:
     ("name", "guess"),
     [
         ("ruber", "did you mean rubber? "),
+        ("sand", "did you mean dry-sand or wet-sand? "),
+        ("Snow", "did you mean powder-snow or wet-snow? "),
         ("Metal", "did you mean metal? "),
         ("silicon", "did you mean silicone? "),
         ("xyz", ""),

@@ -169,7 +169,7 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "thin-flow": (
         summary(Health(lost=0, flow_per_cell=1.0), Health(lost=0, flow_per_cell=2.0)),
         summary(Health(lost=0, flow_per_cell=6.0), Health(lost=0, flow_per_cell=1.25)),
-        "flowing material is spread too thin for its particles: 1.2 are in a cell",
+        "looks like single drops or grains: a cell of the grid holds 1.2 at the end",
     ),
     "loop": (
         summary(loop_cycles=4, loop_difference_m=0.005, loop_difference_share=0.01),

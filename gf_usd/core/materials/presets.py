@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from gf_usd.core.errors import UsageError, did_you_mean
+from gf_usd.core.errors import UsageError, meant, similar
 from gf_usd.core.materials.dimensionless import DIMENSIONLESS, DimensionlessPreset
 from gf_usd.core.materials.material import Material
 from gf_usd.core.materials.physical import PHYSICAL, PhysicalPreset
@@ -39,7 +39,8 @@ def find_preset(name: str) -> Preset:
     known = presets()
     if name in known:
         return known[name]
-    guess = did_you_mean(name, known)
+    # similarity alone finds only one of dry-sand and wet-sand for "sand"
+    guess = meant([one for one in known if name.lower() in one.split("-")] or similar(name, known))
     raise UsageError(
         f"there is no material {name!r}",
         f"{guess}choose one of {', '.join(known)} (gf-usd materials shows them),"

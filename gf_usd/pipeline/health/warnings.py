@@ -432,9 +432,9 @@ def _thin_flow(h: HealthSummary) -> MessageAndHint:
     if count is None or count >= SPARSE:
         return None
     return (
-        f"flowing material is spread too thin for its particles: {rounded_text(count)} are in a"
-        " cell of the grid at the end, and about 6 where it is deep, so that it looks like"
-        " single drops or grains",
+        "flowing material is spread too thin for its particles, and looks like single drops or"
+        f" grains: a cell of the grid holds {rounded_text(count)} at the end, and about 6 where it"
+        " is deep",
         "use more --particles or fewer --frames, or hold it in a container",
     )
 
