@@ -149,7 +149,7 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "fallen": (
         summary(Health(fallen=0, fallen_kinetic=0.0)),
         summary(Health(fallen=0), Health(fallen=1), Health(fallen=1)),
-        "1 of 1 bodies fell past every obstacle, the first by frame 2, and nothing is below them",
+        "the body fell past every obstacle by frame 2, and nothing is below it",
     ),
     "lost": (
         summary(Health(lost=0, flow_volume=1.0)),
@@ -386,3 +386,8 @@ def test_the_hint_on_the_volume_of_what_flows_is_for_its_direction() -> None:
     assert pressed.hint.startswith("lower the impact (--drop), or use a larger Young's modulus")
     assert swollen.message.startswith("flowing material has 109 %")
     assert swollen.hint == "more --particles resolve it better"
+
+
+def test_of_several_bodies_the_number_that_fell_is_named() -> None:
+    (found,) = health_warnings(summary(fallen_bodies=2, fallen_of=5, first_fallen_frame=3))
+    assert found.message.startswith("2 of 5 bodies fell past every obstacle, the first by frame 3")

@@ -384,9 +384,16 @@ def _fallen(h: HealthSummary) -> MessageAndHint:
     count = h.get("fallen_bodies", 0)
     if not count:
         return None
+    frame = _frame(h, "first_fallen_frame")
+    if h["fallen_of"] == 1:
+        message = f"the body fell past every obstacle by {frame}, and nothing is below it"
+    else:
+        message = (
+            f"{count} of {h['fallen_of']} bodies fell past every obstacle, the first by {frame},"
+            " and nothing is below them"
+        )
     return (
-        f"{count} of {h['fallen_of']} bodies fell past every obstacle, the first by"
-        f" {_frame(h, 'first_fallen_frame')}, and nothing is below them",
+        message,
         "add a floor (--floor HEIGHT), make the obstacles larger, or move the bodies over them",
     )
 

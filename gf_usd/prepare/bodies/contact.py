@@ -184,9 +184,17 @@ def require_clear_start(
 
 
 def penetration_notes(
-    particles: Particles, lift: Sequence[float], setup: ContactSetup, bodies: BodyPlan
+    particles: Particles,
+    lift: Sequence[float],
+    setup: ContactSetup,
+    bodies: BodyPlan,
+    free: tuple[Floats, float] | None = None,
 ) -> tuple[str, ...]:
-    """Notes on bodies that have particles in an obstacle at the start."""
+    """Notes on bodies that have particles in an obstacle at the start.
+
+    free : direction up (3,) and unit [m] of the stage, where --drop lifts the only body by its
+        value: without a floor and pins.
+    """
     body, X = particles.body_of, particles.X + np.asarray(lift, float)
     notes = []
     for k, one in enumerate(setup.colliders):
@@ -194,11 +202,19 @@ def penetration_notes(
         count = np.bincount(body[_inside(one, X)], minlength=bodies.count)
         for a in (a for a in met if count[a]):
             whole = int((body == a).sum())
-            room = ", or reverse the faces of the obstacle if it is a room around the body"
+            way = ""
+            if count[a] == whole:
+                way = ", or reverse the faces of the obstacle if it is a room around the body"
+            elif free is not None and one.shape != "plane":
+                up, unit = free
+                over = float((one.positions(0) @ up).max() - (particles.X @ up).min())
+                drop = (over + particles.spacing) / unit
+                step = 10.0 ** (np.floor(np.log10(drop)) - 1.0)  # two digits, rounded up
+                way = f", or use --drop {np.ceil(drop / step) * step:.3g} to start above it"
             notes.append(
                 f"<{bodies.surfaces[a][0]}> starts with {count[a]} of {whole}"
                 f" particles inside the obstacle <{one.path}> and keeps this overlap until"
-                f" it moves away; move them apart in the asset{room if count[a] == whole else ''}"
+                f" it moves away; move them apart in the asset{way}"
             )
     return tuple(notes)
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 from physics_stages import mesh
-from planned import planner
+from planned import noted, planner
 
 from gf_usd.core.errors import InputError
 from gf_usd.prepare.plan import Plan
@@ -53,3 +54,18 @@ def test_one_that_clears_it_is_not(plan, more: dict[str, Any]) -> None:
 def test_what_stands_in_an_obstacle_from_the_start_is_left_there(plan) -> None:
     inside = ABOVE.replace("(0, 3, 0)", "(0, 0.25, 0)")
     assert plan(mesh("One", inside) + obstacle(), floor="0", drop="0.2").settings.lift[1] < 0.0
+
+
+def test_the_note_on_what_starts_in_an_obstacle_names_a_drop_that_clears_it(plan) -> None:
+    stage = mesh("One", ABOVE.replace("(0, 3, 0)", "(0, 1.25, 0)")) + obstacle()
+    seen = plan(stage)
+    (note,) = (note for note in seen.notes if "inside the obstacle </Block>" in note)
+    found = re.search(r"or use --drop ([\d.]+) to start above it$", note)
+    assert found, note
+    above = plan(stage, drop=found[1])
+    assert above.settings.lift[1] == float(found[1])
+    assert not noted(above, "inside the obstacle")
+    assert float(found[1]) < 2.0, "as little as clears it"
+    floor = plan(stage, floor="-5", drop="6.25")
+    assert noted(floor, "inside the obstacle </Block>")
+    assert not noted(floor, "or use --drop"), "with a floor, the drop is from there"
