@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 LEAST = 16  # particles: what has fewer is no more than a lump
 REACH = 2.0  # [spacings] within which a mesh that is not filled touches a body
 LARGE = 0.8  # of the size of such a mesh: a smaller body does not carry it if it touches another
+MOST_NAMED = 2  # meshes of a body that a note names
 CELL = 2.0  # [spacings] parts in neighboring cells have two planes of nodes or more in common
 
 
@@ -134,7 +135,7 @@ def _touching(
     count = sum(len(one) for one in found)
     what = "one body" if len(found) == 1 else f"{len(found)} bodies"
     away = f"{length_text(reach)} ({reach / asset.facts.units.length:.3g} stage units)"
-    bodies = listed([listed_paths(one) for one in found], join="; ")
+    bodies = listed([listed_paths(one, MOST_NAMED) for one in found], join="; ")
     return [
         f"{count} meshes that touch or overlap are {what}: {bodies}"
         f"; to keep them apart, make them rigid or deformable bodies (UsdPhysics), move them"

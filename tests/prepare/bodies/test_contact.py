@@ -98,6 +98,8 @@ def test_meshes_that_touch_are_one_body_with_a_note(plan) -> None:
     assert noted(
         plan(*pairs), "4 meshes that touch or overlap are 2 bodies: </M0>, </M1>; </M2>, </M3>; to"
     )
+    row = [mesh(f"M{k}", at(k)) for k in range(4)]
+    assert noted(plan(*row), "are one body: </M0>, </M1> and 2 more; to keep them apart")
 
 
 def test_what_is_meant_to_be_one_body_has_no_note(plan) -> None:
