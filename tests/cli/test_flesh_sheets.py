@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from arm import FIRST, LAST, arm, drawn, write
+from arm import BOOT_CORNERS, BOOT_FACES, FIRST, LAST, arm, drawn, faces, points, write
 from pxr import Usd
 
 import gf_usd
@@ -15,15 +16,12 @@ from gf_usd.core.errors import InputError
 from gf_usd.prepare.prepare import prepare
 
 FEW = {"particles": 400, "preroll": 12, "flesh": True, "material": "rubber", "progress": None}
+Corners = list[tuple[float, ...]]
 AROUND, TURNS = 12, np.arange(12) * np.pi / 6.0
 
 
-def skirted(
-    folder: Path, along: tuple[float, ...], radii: tuple[float, ...], joint: int, other: int = -1
-) -> Path:
-    """The arm with an open tube around it, /Arm/Skirt, that is bound to one joint; other : that of
-    its last ring, the same by default.
-    """
+def tube(along: tuple[float, ...], radii: tuple[float, ...]) -> tuple[Corners, Corners]:
+    """Points and quads of an open tube around the arm."""
     rings = [
         (x, r * np.cos(turn), r * np.sin(turn)) for x, r in zip(along, radii) for turn in TURNS
     ]
@@ -33,27 +31,51 @@ def skirted(
         for k in range(len(along) - 1)
         for j in range(AROUND)
     ]  # fmt: skip
-    bound = [joint] * (len(rings) - AROUND) + [joint if other < 0 else other] * AROUND
-    tube = f"""
-    def Mesh "Skirt" ( prepend apiSchemas = ["SkelBindingAPI"] )
+    return rings, corners
+
+
+def mesh(
+    name: str, points: Any, faces: Any, joints: list[int], weights: list[float] | None = None
+) -> str:
+    """A mesh whose points are each bound to as many joints, with weights of 1 by default."""
+    size = len(joints) // len(points)
+    return f"""
+    def Mesh "{name}" ( prepend apiSchemas = ["SkelBindingAPI"] )
     {{
         uniform token subdivisionScheme = "none"
-        point3f[] points = [{", ".join(f"({x:.6f}, {y:.6f}, {z:.6f})" for x, y, z in rings)}]
-        int[] faceVertexCounts = {[4] * len(corners)}
-        int[] faceVertexIndices = {[c for face in corners for c in face]}
+        point3f[] points = [{", ".join(f"({x:.6f}, {y:.6f}, {z:.6f})" for x, y, z in points)}]
+        int[] faceVertexCounts = {[len(face) for face in faces]}
+        int[] faceVertexIndices = {[int(c) for face in faces for c in face]}
         rel skel:skeleton = </Arm/Skel>
-        int[] primvars:skel:jointIndices = {bound} (
-            elementSize = 1
+        int[] primvars:skel:jointIndices = {joints} (
+            elementSize = {size}
             interpolation = "vertex"
         )
-        float[] primvars:skel:jointWeights = {[1] * len(rings)} (
-            elementSize = 1
+        float[] primvars:skel:jointWeights = {weights or [1] * len(joints)} (
+            elementSize = {size}
             interpolation = "vertex"
         )
     }}
-}}
 """
-    return write(folder, arm().rstrip().removesuffix("}") + tube)
+
+
+def with_arm(folder: Path, *meshes: str, skin: str | None = None) -> Path:
+    """The arm with meshes beside it; skin : one instead of its own."""
+    text = arm().rstrip().removesuffix("}")
+    if skin is not None:
+        text = text[: text.index('    def Mesh "Skin"')] + skin
+    return write(folder, text + "".join(meshes) + "}\n")
+
+
+def skirted(
+    folder: Path, along: tuple[float, ...], radii: tuple[float, ...], joint: int, other: int = -1
+) -> Path:
+    """The arm with an open tube around it, /Arm/Skirt, that is bound to one joint; other : that of
+    its last ring, the same by default.
+    """
+    rings, corners = tube(along, radii)
+    bound = [joint] * (len(rings) - AROUND) + [joint if other < 0 else other] * AROUND
+    return with_arm(folder, mesh("Skirt", rings, corners, bound))
 
 
 def posed(X: np.ndarray, code: float) -> np.ndarray:
@@ -106,3 +128,19 @@ def test_a_sheet_of_one_joint_can_be_rigid_and_one_of_several_cannot(tmp_path: P
     assert plan.sheets == {}
     with pytest.raises(InputError, match="--rigid /Arm/Skirt --flesh: it encloses no volume"):
         prepare(skirted(tmp_path, *shape, joint=1, other=0), **options)
+
+
+@pytest.mark.parametrize("sword", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_flesh_without_a_bone_in_it_is_refused(tmp_path: Path, sword: bool) -> None:
+    """There was a traceback; and a sword apart from it would not hold it either."""
+    X, corners = points(), faces()
+    two = np.concatenate([X + (0.0, 1.0, 0.0), X - (0.0, 1.0, 0.0)])
+    both = corners + [[c + len(X) for c in face] for face in corners]
+    share = np.clip(two[:, 0] - 0.5, 0.0, 1.0)
+    weights = np.stack([1.0 - share, share], 1).ravel().tolist()
+    skin = mesh("Skin", two, both, [0, 1] * len(two), weights)
+    apart = np.array(BOOT_FACES).reshape(-1, 4)
+    more = [mesh("Sword", BOOT_CORNERS + (3.0, 0.0, 0.0), apart, [1] * 8)] if sword else []
+    options = {"particles": 200, "flesh": True, "output": tmp_path / "out.usda", "draw": None}
+    with pytest.raises(InputError, match="none of 2 bones lies inside the flesh"):
+        prepare(with_arm(tmp_path, *more, skin=skin), **options)

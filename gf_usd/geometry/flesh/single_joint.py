@@ -75,8 +75,10 @@ def accessories(
 
     They are on a part of the body or in it, and are none themselves, as a head or a foot is.
     """
+    if not paths:
+        return []
     filled = {s.path: (s.points, t) for s, t in zip(solid.surfaces, solid.triangles, strict=True)}
-    inner = np.concatenate([core.points[core.radius > 0.0] for core in cores.cores])
+    inner = _inner(cores)
     elsewhere = np.zeros(len(inner), bool)
     for path, (points, triangles) in filled.items():
         if path not in bound:
@@ -86,6 +88,12 @@ def accessories(
         for path in paths
         if path in filled and not _has_own(Shape(*filled[path]).encloses(inner), elsewhere)
     ]
+
+
+def _inner(cores: Cores) -> Floats:
+    """(n, 3) [m] the points of cores that are inside flesh."""
+    inside = (core.points[core.radius > 0.0] for core in cores.cores)
+    return np.concatenate([np.zeros((0, 3)), *inside])
 
 
 def _has_own(here: Floats, elsewhere: Floats) -> bool:
@@ -164,7 +172,7 @@ def _with_cores(shapes: Mapping[str, Shape], cores: Cores) -> list[str]:
     """The meshes with cores of their own: more than half of the points of cores in one are in none
     of those with more.  The others are around flesh, as a coat whose wall an arm goes through.
     """
-    inner = np.concatenate([core.points[core.radius > 0.0] for core in cores.cores])
+    inner = _inner(cores)
     within = {path: shape.encloses(inner) for path, shape in shapes.items()}
     taken, found = np.zeros(len(inner), bool), []
     for path, here in sorted(within.items(), key=lambda one: -int(one[1].sum())):

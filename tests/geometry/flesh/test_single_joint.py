@@ -65,3 +65,12 @@ def test_accessories_have_no_core_that_is_not_in_other_flesh_too() -> None:
     # the core is also in the neck where it is in the scarf, but not all of it in the head
     cores = Cores(cores=(core,))
     assert accessories(list(bound), bound, boxes(**spans), cores) == ["hat", "scarf"]
+
+
+def test_without_cores_every_mesh_of_one_joint_is_an_accessory_and_none_is_judged() -> None:
+    """Where no bone was in the flesh, there was a traceback instead of the refusal."""
+    solid, none = boxes(**SPANS), Cores(cores=())
+    assert accessories([], {}, solid, none) == []
+    assert accessories(["hat"], {"hat": 0}, solid, none) == ["hat"]
+    skeleton: Any = SimpleNamespace(weights=dict.fromkeys(SPANS))
+    assert loose_meshes(skeleton, {}, solid, none, CELL) == ([], {})

@@ -204,7 +204,7 @@ def _pin_to_bones(
     X : (n, 3) [m] of the particles; share, cell [m] : of `bone_cores`; springs : whether these hold
     all flesh, accessories too.
 
-    Raises InputError where nothing is pinned.
+    Raises InputError where no pin holds flesh.
     """
     from gf_usd.geometry.flesh.cores import bone_pins
     from gf_usd.geometry.flesh.single_joint import (
@@ -229,7 +229,7 @@ def _pin_to_bones(
     soft = [path for path in soft if path not in thin and path in solid.filled]
     worn = [] if springs else accessories(soft, bound, solid, cores)
     pins += single_joint_pins([*apart, *thin, *worn], bound, skeleton, solid, cell)
-    if not pins:
+    if not pins or (len(pins) == len(apart) and not springs):  # those hold none but themselves
         raise InputError(
             f"{asset.facts.path}: --flesh: none of {len(bones)} bones lies inside the flesh, such"
             f" as {bones[0].name}",
