@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from arm import BOOT_CORNERS, BOOT_FACES, FIRST, LAST, arm, drawn, faces, points, write
+from arm import BOOT_CORNERS, BOOT_FACES, FIRST, LAST, arm_with, bound_mesh, drawn, faces, points
 from pxr import Usd
 
 import gf_usd
@@ -34,39 +33,6 @@ def tube(along: tuple[float, ...], radii: tuple[float, ...]) -> tuple[Corners, C
     return rings, corners
 
 
-def mesh(
-    name: str, points: Any, faces: Any, joints: list[int], weights: list[float] | None = None
-) -> str:
-    """A mesh whose points are each bound to as many joints, with weights of 1 by default."""
-    size = len(joints) // len(points)
-    return f"""
-    def Mesh "{name}" ( prepend apiSchemas = ["SkelBindingAPI"] )
-    {{
-        uniform token subdivisionScheme = "none"
-        point3f[] points = [{", ".join(f"({x:.6f}, {y:.6f}, {z:.6f})" for x, y, z in points)}]
-        int[] faceVertexCounts = {[len(face) for face in faces]}
-        int[] faceVertexIndices = {[int(c) for face in faces for c in face]}
-        rel skel:skeleton = </Arm/Skel>
-        int[] primvars:skel:jointIndices = {joints} (
-            elementSize = {size}
-            interpolation = "vertex"
-        )
-        float[] primvars:skel:jointWeights = {weights or [1] * len(joints)} (
-            elementSize = {size}
-            interpolation = "vertex"
-        )
-    }}
-"""
-
-
-def with_arm(folder: Path, *meshes: str, skin: str | None = None) -> Path:
-    """The arm with meshes beside it; skin : one instead of its own."""
-    text = arm().rstrip().removesuffix("}")
-    if skin is not None:
-        text = text[: text.index('    def Mesh "Skin"')] + skin
-    return write(folder, text + "".join(meshes) + "}\n")
-
-
 def skirted(
     folder: Path, along: tuple[float, ...], radii: tuple[float, ...], joint: int, other: int = -1
 ) -> Path:
@@ -75,7 +41,7 @@ def skirted(
     """
     rings, corners = tube(along, radii)
     bound = [joint] * (len(rings) - AROUND) + [joint if other < 0 else other] * AROUND
-    return with_arm(folder, mesh("Skirt", rings, corners, bound))
+    return arm_with(folder, bound_mesh("Skirt", rings, corners, bound))
 
 
 def posed(X: np.ndarray, code: float) -> np.ndarray:
@@ -138,9 +104,9 @@ def test_flesh_without_a_bone_in_it_is_refused(tmp_path: Path, sword: bool) -> N
     both = corners + [[c + len(X) for c in face] for face in corners]
     share = np.clip(two[:, 0] - 0.5, 0.0, 1.0)
     weights = np.stack([1.0 - share, share], 1).ravel().tolist()
-    skin = mesh("Skin", two, both, [0, 1] * len(two), weights)
+    skin = bound_mesh("Skin", two, both, [0, 1] * len(two), weights)
     apart = np.array(BOOT_FACES).reshape(-1, 4)
-    more = [mesh("Sword", BOOT_CORNERS + (3.0, 0.0, 0.0), apart, [1] * 8)] if sword else []
+    more = [bound_mesh("Sword", BOOT_CORNERS + (3.0, 0.0, 0.0), apart, [1] * 8)] if sword else []
     options = {"particles": 200, "flesh": True, "output": tmp_path / "out.usda", "draw": None}
     with pytest.raises(InputError, match="none of 2 bones lies inside the flesh"):
-        prepare(with_arm(tmp_path, *more, skin=skin), **options)
+        prepare(arm_with(tmp_path, *more, skin=skin), **options)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,6 +114,31 @@ def SkelRoot "Arm" ( prepend apiSchemas = ["SkelBindingAPI"] )
         )
     }}
 }}
+"""
+
+
+def bound_mesh(
+    name: str, points: Any, faces: Any, joints: list[int], weights: list[float] | None = None
+) -> str:
+    """A mesh whose points are each bound to as many joints, with weights of 1 by default."""
+    size = len(joints) // len(points)
+    return f"""
+    def Mesh "{name}" ( prepend apiSchemas = ["SkelBindingAPI"] )
+    {{
+        uniform token subdivisionScheme = "none"
+        point3f[] points = [{", ".join(f"({x:.6f}, {y:.6f}, {z:.6f})" for x, y, z in points)}]
+        int[] faceVertexCounts = {[len(face) for face in faces]}
+        int[] faceVertexIndices = {[int(c) for face in faces for c in face]}
+        rel skel:skeleton = </Arm/Skel>
+        int[] primvars:skel:jointIndices = {joints} (
+            elementSize = {size}
+            interpolation = "vertex"
+        )
+        float[] primvars:skel:jointWeights = {weights or [1] * len(joints)} (
+            elementSize = {size}
+            interpolation = "vertex"
+        )
+    }}
 """
 
 
@@ -236,3 +262,11 @@ def shaped(first: float, last: float) -> str:
         }
 """
     return arm(more=mesh).replace("half3[] scales", weights, 1)
+
+
+def arm_with(folder: Path, *meshes: str, skin: str | None = None) -> Path:
+    """The arm with meshes beside it; skin : one instead of its own."""
+    text = arm().rstrip().removesuffix("}")
+    if skin is not None:
+        text = text[: text.index('    def Mesh "Skin"')] + skin
+    return write(folder, text + "".join(meshes) + "}\n")

@@ -81,6 +81,9 @@ def worn_meshes(
 ) -> dict[str, str]:
     """The reason why each of the garments of characters bounds no volume, by prim path.
 
+    Only meshes of the same character count, since bind poses may overlap, and something of each is
+    filled.
+
     spacing : [m] approximate spacing of the particles; animation : reads that of the asset.
     """
     from gf_usd.geometry.flesh.sheets import garments, thin_sheets
@@ -90,14 +93,25 @@ def worn_meshes(
     posed = skeletons(file, paths, asset.facts) if len(solid.surfaces) > 1 else {}
     if not posed:
         return {}
-    first = animation().first
-    skeleton = read_skeleton(file, paths, asset.facts, first=first, times=[first])
-    thin = {
-        path: f"it is {length_text(thickness)} thick on average, less than the spacing of the"
-        f" particles, {length_text(spacing)}, and around no bone; more --particles make it soft"
-        for path, thickness in thin_sheets(solid, skeleton, spacing).items()
-    }
-    return thin | dict.fromkeys(garments(solid, posed), WORN)
+    owners, _ = characters_of(asset, file)
+    members: dict[str, list[int]] = {}
+    for k, surface in enumerate(solid.surfaces):
+        members.setdefault(owners.get(surface.path, ""), []).append(k)
+    out: dict[str, str] = {}
+    for owner, rows in members.items():
+        if len(rows) < 2:
+            continue
+        part, first = solid.part(np.array(rows)), animation().first
+        own = [path for path in paths if owners.get(path, "") == owner]
+        skeleton = read_skeleton(file, own, asset.facts, first=first, times=[first])
+        thin = {
+            path: f"it is {length_text(thickness)} thick on average, less than the spacing of the"
+            f" particles, {length_text(spacing)}, and around no bone; more --particles make it soft"
+            for path, thickness in thin_sheets(part, skeleton, spacing).items()
+        }
+        found = thin | dict.fromkeys(garments(part, posed), WORN)
+        out |= found if len(found) < len(rows) else thin  # which are not all: one has a bone in it
+    return out
 
 
 def _apart(
