@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix
+from scipy.sparse import csr_matrix, diags_array
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import Surface
@@ -104,13 +104,13 @@ def skinned_sheets(
     out = {}
     for surface in found:
         X = np.asarray(surface.points, np.float64)
-        near, bones = _nearest(flesh, X, weights)
+        near, bones, known = _nearest(flesh, X, weights)
         ratio = np.minimum(np.linalg.norm(X - near, axis=1) / reach, 1.0)
         motion = {"linear": linear, "offset": offset}
         out[surface.path] = Sheet(
             skin=Skinning(X=X, weights=weights[surface.path], **motion),
             flesh=Skinning(X=near, weights=bones, **motion),
-            share=1.0 - ratio**2 * (3.0 - 2.0 * ratio),
+            share=known * (1.0 - ratio**2 * (3.0 - 2.0 * ratio)),
         )
     return out
 
@@ -123,9 +123,10 @@ def whole(weights: Mapping[str, csr_matrix], path: str) -> bool:
 
 def _nearest(
     flesh: Solid, X: Floats, weights: Mapping[str, csr_matrix]
-) -> tuple[NDArray[np.float64], csr_matrix]:
-    """The nearest points (n, 3) [m] of the flesh to X (n, 3), which may be inside it, and the
-    weights (n, bones) of its skin there.
+) -> tuple[NDArray[np.float64], csr_matrix, NDArray[np.float64]]:
+    """The nearest points (n, 3) [m] of the flesh to X (n, 3), which may be inside it, the weights
+    (n, bones) of its skin there, and their sum (n,) before they are scaled to 1: where it is 0, the
+    skinned pose of the flesh is not known.
     """
     near, total = np.zeros_like(X), None
     for surface, on in zip(flesh.surfaces, on_skin(flesh, X), strict=True):
@@ -133,8 +134,14 @@ def _nearest(
         near += to_points @ surface.points
         bones = to_points @ weights[surface.path]
         total = bones if total is None else total + bones
-    within = flesh.inside(X)
-    return np.where(within[:, None], X, near), csr_matrix(total)
+    within, (bones, known) = flesh.inside(X), unit_rows(csr_matrix(total))
+    return np.where(within[:, None], X, near), bones, known
+
+
+def unit_rows(weights: csr_matrix) -> tuple[csr_matrix, NDArray[np.float64]]:
+    """Weights (n, bones), rows scaled to a sum of 1 if they are not empty; sums (n,) before."""
+    total = np.asarray(weights.sum(1)).ravel()
+    return csr_matrix(diags_array(1.0 / np.where(total > 0.0, total, 1.0)) @ weights), total
 
 
 def garments(solid: Solid, posed: Collection[str]) -> tuple[str, ...]:

@@ -115,6 +115,32 @@ def test_a_sheet_follows_its_skinned_pose_and_the_flesh_near_it() -> None:
     np.testing.assert_allclose(pose.F[touching][0], turn + 0.1 * np.eye(3), atol=1e-9)
 
 
+def test_a_sheet_next_to_flesh_without_weights_follows_its_skinned_pose() -> None:
+    """It was thrown to the origin: without weights the skinned pose of the flesh was 0."""
+    sheet = column("/skirt", 0.35, 0.4, 1.9, open_ends=2)
+    solid, both = solids.solid(BODY), skeleton(body=0)
+    partly = np.eye(2)[[0] * len(BODY.points)]
+    partly[BODY.points[:, 1] > 1.0] = 0.0
+    weights = {
+        "/body": csr_matrix(partly),
+        "/skirt": csr_matrix(np.eye(2)[[0] * len(sheet.points)]),
+    }
+    made = skinned_sheets([sheet], solid, Skeleton(bones=both.bones, weights=weights))["/skirt"]
+    np.testing.assert_allclose(np.asarray(made.flesh.weights.sum(1)).max(), 1.0)
+    n, away = len(sheet.points), np.array([0.0, 0.0, 0.1])
+    F = np.tile(np.eye(3), (n, 1, 1))
+    low, high = sheet.points[:, 1] < 0.7, sheet.points[:, 1] > 1.5
+    for frame in (0, 1):
+        pose = made.pose(Pose(x=made.near + away, v=np.zeros((n, 3)), F=F), frame, 0.5)
+        moved = pose.x - sheet.points
+        np.testing.assert_allclose(moved[high], 0.0, atol=1e-9)
+        assert (moved[low, 2] > 0.05).all()
+        # between points with weights and others it moves by a share
+        assert np.abs(moved[:, :2]).max() < 1e-9
+        assert (np.abs(moved[:, 2]) <= 0.1 + 1e-9).all()
+        np.testing.assert_allclose(pose.F, F, atol=1e-9)
+
+
 def test_only_meshes_that_are_skinned_and_free_are_sheets() -> None:
     solid = solids.solid(BODY)
     assert skinned_sheets([BODY, SKIRT], solid, skeleton(body=0)) == {}
