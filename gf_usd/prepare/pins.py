@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -29,6 +29,7 @@ def make_pins(
     rest: float | None,
     option: str = "--pin",
     bodies: Ints | None = None,
+    without: Collection[str] = (),
 ) -> tuple[Pin, ...]:
     """The pins of each name: "box:x0,y0,z0,x1,y1,z1" [stage units], "paint:PRIMVAR", "joint:NAME"
     or a prim path.
@@ -37,6 +38,7 @@ def make_pins(
     option : --pin, or --rigid for regions that move by the forces on them.
     bodies : (S,) of each surface of the solid: a part of a surface pins the body of that surface
         only; None: there is one body.
+    without : prim paths of meshes that are no part of the volume of a prim above them.
 
     Raises UsageError for a box that is none, InputError for a prim that is none or has no surface,
     and for a region that contains nothing of the body.
@@ -49,7 +51,9 @@ def make_pins(
     times = [settings.time_code(i) for i in range(settings.frames)]
 
     def read(paths: Sequence[str]) -> tuple[Region, ...]:
-        return read_regions(file, paths, asset.facts, rest=rest, times=times, option=option)
+        return read_regions(
+            file, paths, asset.facts, rest=rest, times=times, option=option, without=without
+        )
 
     boxes = [name for name in names if name.startswith(BOX)]
     weights = [name for name in names if name.startswith((PAINT, JOINT))]

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from arm import BOOT_CORNERS, BOOT_FACES, FIRST, LAST, arm_with, bound_mesh, drawn, faces, points
 from pxr import Usd
 
@@ -92,8 +93,56 @@ def test_a_sheet_of_one_joint_can_be_rigid_and_one_of_several_cannot(tmp_path: P
     plan, _ = prepare(skirted(tmp_path, *shape, joint=1), **options)
     assert "</Arm/Skirt> is not filled: it moves exactly with its joint" in " ".join(plan.notes)
     assert plan.sheets == {}
-    with pytest.raises(InputError, match="--rigid /Arm/Skirt --flesh: it encloses no volume"):
+    with pytest.raises(InputError, match=r"--rigid /Arm/Skirt --flesh: .* the surface is open: "):
         prepare(skirted(tmp_path, *shape, joint=1, other=0), **options)
+
+
+def clothed(folder: Path, *clothes: str) -> Path:
+    """The arm with meshes under /Arm/Clothes."""
+    return arm_with(folder, '    def Xform "Clothes"\n    {\n', *clothes, "    }\n")
+
+
+FLARED = tube((1.0, 0.6, 0.2), (0.35, 0.7, 1.1))
+TWO = [0] * 24 + [1] * 12
+SCARCE = {"particles": 200, "flesh": True, "preroll": 6, "draw": None}
+
+
+def test_a_prim_with_sheets_only_cannot_be_rigid(tmp_path: Path) -> None:
+    """With the name of their parent, skirts made the legs in them rigid."""
+    skirts = [bound_mesh(name, *FLARED, TWO) for name in ("Skirt", "Apron")]
+    options = SCARCE | {"rigid": ["/Arm/Clothes"], "output": tmp_path / "out.usda"}
+    with pytest.raises(InputError) as refused:
+        prepare(clothed(tmp_path, *skirts), **options)
+    assert "--rigid /Arm/Clothes --flesh: </Arm/Clothes/Skirt>" in refused.value.message
+    assert "they follow their skinned poses" in refused.value.message
+    assert "a mesh that is closed" in refused.value.hint
+
+
+def test_a_closed_sheet_that_cannot_be_rigid_is_not_called_open(tmp_path: Path) -> None:
+    made = trimesh.creation.annulus(0.44, 0.45, height=0.6)
+    X = np.array(made.vertices)[:, [2, 0, 1]] + (0.5, 0.0, 0.0)
+    sheet = bound_mesh("Skirt", X, made.faces, [0, 1] * len(X), [0.5] * 2 * len(X))
+    options = SCARCE | {"rigid": ["/Arm/Skirt"], "output": tmp_path / "out.usda"}
+    with pytest.raises(InputError) as refused:
+        prepare(arm_with(tmp_path, sheet), **options)
+    assert "mm thick on average, less than" in refused.value.message
+    assert "volume" not in refused.value.message
+    assert refused.value.hint == "omit it; or use more --particles, or bind it to a single joint"
+
+
+def test_sheets_are_no_part_of_a_rigid_prim_above_them(tmp_path: Path) -> None:
+    boot = np.array(BOOT_FACES).reshape(-1, 4)
+    clothes = [
+        bound_mesh("Boot", BOOT_CORNERS, boot, [0, 1] * 8, [0.5] * 16),
+        bound_mesh("Skirt", *FLARED, TWO),
+    ]
+    options = SCARCE | {"rigid": ["/Arm/Clothes"], "output": tmp_path / "out.usda"}
+    plan, _ = prepare(clothed(tmp_path, *clothes), **options)
+    (pin,) = (pin for pin in plan.pins if pin.rigid)
+    in_skirt, in_boot = np.array([[0.6, 0.0, 0.0], [2.0, 0.0, 0.0]])
+    assert pin.inside(np.array([in_boot])).all()
+    assert not pin.inside(np.array([in_skirt])).any()
+    assert list(plan.sheets) == ["/Arm/Clothes/Skirt"]
 
 
 @pytest.mark.parametrize("sword", [False, pytest.param(True, marks=pytest.mark.slow)])

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
-from gf_usd.core.errors import InputError, counted
+from gf_usd.core.errors import InputError, counted, listed_paths
 from gf_usd.core.frames.settings import Settings, sampled, written
 from gf_usd.core.stage import Goals, Pin
 from gf_usd.prepare.bodies.contact import LimbPlan
+from gf_usd.prepare.bodies.flesh.characters import THIN
 from gf_usd.prepare.bodies.flesh.flesh import Flesh, flesh_of
 from gf_usd.prepare.bodies.sampling import SampledBodies
 from gf_usd.prepare.fill.bodies import FilledBodies
@@ -78,19 +79,42 @@ def _find_constraints(
         if filled.characters:
             meet_from = animation.lead(every, cycle * settings.samples_per_frame * repeats)
     names = [name for name in request.listed("rigid") if name not in flesh.rigid]
-    if sheets := [name for name in names if name in flesh.sheets]:
-        raise InputError(
-            f"{asset.facts.path}: --rigid {sheets[0]} --flesh: it encloses no volume that could be"
-            " rigid: it follows its skinned pose, and the flesh near it",
-            "omit it; or name a mesh that is closed, or bound to a single joint",
-        )
+    _require_no_sheets(names, inputs, flesh.sheets)
     found += make_pins(
-        names, asset, solid, every, file, rest=request.start, option="--rigid", bodies=of_surface
+        names, asset, solid, every, file, rest=request.start, option="--rigid", bodies=of_surface,
+        without=flesh.sheets.keys(),
     )  # fmt: skip
     return Constraints(
         pins=tuple(found), flesh=flesh, cycle=cycle, meet_from=meet_from,
         attachment_notes=(*notes, *_ignored_attachment_notes(inputs, shot)),
     )  # fmt: skip
+
+
+def _require_no_sheets(names: Sequence[str], inputs: Inputs, sheets: Collection[str]) -> None:
+    """Raise InputError for a name of --rigid at and below which all meshes are sheets.
+
+    sheets : prim paths.
+    """
+    reasons = dict(inputs.solid.embedded)
+    for name in names:
+        above = f"{name.rstrip('/')}/"
+        found = [s.path for s in inputs.asset.surfaces if f"{s.path}/".startswith(above)]
+        if not found or any(path not in sheets for path in found):
+            continue
+        one = len(found) == 1
+        are, follow, poses, them = (
+            ("is", "it follows its", "pose", "it")
+            if one
+            else ("are", "they follow their", "poses", "them")
+        )
+        reason = reasons[found[0]]
+        way = "use more --particles" if reason.endswith(THIN) else "name a mesh that is closed"
+        raise InputError(
+            f"{inputs.asset.facts.path}: --rigid {name} --flesh: {listed_paths(found)} {are} not"
+            f" filled and cannot be rigid: {follow} skinned {poses}, and the flesh near {them};"
+            f" {reason}",
+            f"omit it; or {way}, or bind {them} to a single joint",
+        )
 
 
 def _ignored_attachment_notes(inputs: Inputs, shot: Shot) -> tuple[str, ...]:

@@ -6,7 +6,7 @@ the faces all of whose points have a weight of at least `HALF`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +30,7 @@ def read_regions(
     rest: float | None,
     times: Sequence[float],
     option: str = "--pin",
+    without: Collection[str] = (),
 ) -> tuple[Region, ...]:
     """The regions of prim paths, with their motion.
 
@@ -37,13 +38,14 @@ def read_regions(
     rest : time code of the rest pose; None: the stage's startTimeCode, or 1.
     times : time codes of the frames.
     option : the command-line option, for messages.
+    without : prim paths of meshes that are no part of regions above them.
 
     Raises InputError for a path without a prim, and for a prim without a surface.
     """
     with reading(file):
         stage = open_stage(file)
         first = Usd.TimeCode(first_time_code(facts, rest))
-        return tuple(_region(stage, facts, name, first, times, option) for name in names)
+        return tuple(_region(stage, facts, name, first, times, option, without) for name in names)
 
 
 HALF = 0.5
@@ -230,6 +232,7 @@ def _region(
     rest: Usd.TimeCode,
     times: Sequence[float],
     option: str,
+    without: Collection[str] = (),
 ) -> Region:
     label = f"{option} {name}"
     prim = named_prim(stage, facts.path, name)
@@ -237,7 +240,8 @@ def _region(
     if subset:
         prims = [prim.GetParent()]
     else:
-        prims = [p for p in Usd.PrimRange(prim, PROXIES) if has_surface(p)]
+        every = (p for p in Usd.PrimRange(prim, PROXIES) if has_surface(p))
+        prims = [p for p in every if p == prim or str(p.GetPath()) not in without]
     if not prims:
         raise InputError(
             f"{facts.path}: {label}: <{prim.GetPath()}> is a {prim.GetTypeName() or 'prim'}"

@@ -31,6 +31,7 @@ SHEET = "it encloses no volume and is not near a mesh of a character"
 GROUND = "it is flat and lies under everything else, as a ground does"
 OWN = "it has an animation of its own"
 WORN = "it is open, and others pass through its holes, as through those of a garment"
+THIN = "and around no bone; more --particles make it soft"
 NEAR = 0.02  # of the size of the characters: open meshes that are farther away do not follow them
 
 
@@ -106,7 +107,7 @@ def worn_meshes(
         skeleton = read_skeleton(file, own, asset.facts, first=first, times=[first])
         thin = {
             path: f"it is {length_text(thickness)} thick on average, less than the spacing of the"
-            f" particles, {length_text(spacing)}, and around no bone; more --particles make it soft"
+            f" particles, {length_text(spacing)}, {THIN}"
             for path, thickness in thin_sheets(part, skeleton, spacing).items()
         }
         found = thin | dict.fromkeys(garments(part, posed), WORN)
