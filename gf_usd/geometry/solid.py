@@ -19,9 +19,10 @@ from scipy.sparse import coo_matrix
 from gf_usd.core.arrays import Floats, Ints, cross
 from gf_usd.core.asset import Asset, Surface
 from gf_usd.core.errors import InputError
+from gf_usd.core.mesh.measures import areas
 from gf_usd.core.mesh.topology import Welded, boundary_edges
 from gf_usd.core.neighbors import components
-from gf_usd.geometry.winding import winding_hierarchy
+from gf_usd.geometry.winding import enclosing_parts, volumes, winding_hierarchy
 
 OPEN_FRACTION = 0.25  # share of holes in the closed area above which a surface has no inside
 FLAT_FRACTION = 1e-4  # volume below this share of (area)^(3/2): flat
@@ -284,6 +285,24 @@ def closed_triangles(surface: Surface) -> tuple[Ints, Ints, str]:
     if volume <= FLAT_FRACTION * area**1.5:
         return welded, source, f"it is flat: volume {volume:.3g} m^3 for an area of {area:.3g} m^2"
     return welded, source, ""
+
+
+def mean_thickness(surface: Surface) -> float:
+    """[m] 2 V / A of a surface: of a plate its thickness, of a long rod its radius.
+
+    V is the sum of its shells, however each is wound: one half may be the other one mirrored.  Only
+    a shell that faces away from the one around it is a cavity, whose volume is subtracted.
+    """
+    points, triangles, label = surface.points, surface.welded.triangles, surface.welded.shell
+    area = float(areas(points, triangles).sum())
+    if not area:
+        return 0.0
+    volume = volumes(points, triangles, label)
+    size, outward = np.abs(volume), volume > 0.0
+    if outward.any() and not outward.all():
+        around = enclosing_parts(points, triangles, label, size)
+        size[(around >= 0) & (outward != outward[around])] *= -1.0
+    return 2.0 * max(float(size.sum()), 0.0) / area
 
 
 def spread_evenly(count: int) -> NDArray[np.float64]:

@@ -7,12 +7,12 @@ import pickle
 import igl
 import numpy as np
 import pytest
-from solids import CUBE_TRIANGLES, asset, cube, needle, solid, sphere, surface
+from solids import CUBE_TRIANGLES, asset, cube, joined, needle, solid, sphere, surface, turned
 
 from gf_usd.core.errors import InputError
 from gf_usd.core.mesh.measures import signed_volume
 from gf_usd.geometry import solid as module
-from gf_usd.geometry.solid import OPEN_FRACTION, PROBES, build_solid, hole_fraction
+from gf_usd.geometry.solid import OPEN_FRACTION, PROBES, build_solid, hole_fraction, mean_thickness
 
 # A volume is counted on some 200 000 lattice points; those that cells cut by the surface hold are
 # right or wrong at random: the area in cells of edge a, times a^3, to the power of 1/2.  For bodies
@@ -286,3 +286,24 @@ def test_bodies_that_overlap_far_from_the_origin_are_counted_once(shift: float):
         cube(low=(1e5 + 0.01 * k * shift, 0.0, 0.0), edge=0.01, path=f"/{k}") for k in range(2)
     ]
     assert solid(*boxes).volume == pytest.approx(1e-6 * (1.0 + shift), rel=COUNTED)
+
+
+def test_mean_thickness_of_shells_does_not_depend_on_their_winding() -> None:
+    plate = cube(edge=(1.0, 1.0, 0.01))
+    assert mean_thickness(plate) == pytest.approx(0.02 / 2.04)
+    mirrored = surface(plate.points * (-1.0, 1.0, 1.0) - (1.0, 0.0, 0.0), plate.triangles)
+    both = joined(plate, mirrored)
+    assert both.signed_volume == pytest.approx(0.0, abs=1e-12)
+    assert mean_thickness(both) == pytest.approx(0.02 / 2.04)
+
+
+@pytest.mark.parametrize("inside_out", [False, True])
+def test_a_cavity_is_no_part_of_the_thickness(inside_out: bool) -> None:
+    outer, inner = cube(edge=1.0), cube((0.1, 0.1, 0.1), 0.8)
+    wall = joined(outer, turned(inner, range(12)))
+    wall = turned(wall, range(24)) if inside_out else wall
+    assert mean_thickness(wall) == pytest.approx(2.0 * (1.0 - 0.8**3) / (6.0 + 6.0 * 0.64))
+    # beside another one that is mirrored
+    beside = joined(wall, turned(cube((3.0, 0.0, 0.0), 1.0), range(12)))
+    expected = 2.0 * (2.0 - 0.8**3) / (12.0 + 6.0 * 0.64)
+    assert mean_thickness(beside) == pytest.approx(expected)

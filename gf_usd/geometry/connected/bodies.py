@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.mesh.measures import areas, signed_volume
-from gf_usd.geometry.solid import Solid
+from gf_usd.geometry.solid import Solid, mean_thickness
 
 INNER = 256  # points inside a surface that are tested, about: a copy has all of them inside
 FINEST = 64  # subdivisions of an edge at most: bounds the samples of very large triangles
@@ -195,7 +194,7 @@ def _overlap(solid: Solid, points: Sequence[Floats], a: int, b: int, reach: floa
     on each surface.  Points on a lattice are tested as well: of a copy at the same place no point
     of the surface is inside.
     """
-    depth = [min(reach, THIN * _mean_thickness(solid, k)) for k in (a, b)]
+    depth = [min(reach, THIN * mean_thickness(solid.surfaces[k])) for k in (a, b)]
     low = np.maximum(points[a].min(0), points[b].min(0))
     high = np.minimum(points[a].max(0), points[b].max(0))
     if (high - low).min() <= min(depth):
@@ -206,13 +205,6 @@ def _overlap(solid: Solid, points: Sequence[Floats], a: int, b: int, reach: floa
     return _enters(np.concatenate([points[a], inner]), solid, b, depth[1]) or _enters(
         np.concatenate([points[b], inner]), solid, a, depth[0]
     )
-
-
-def _mean_thickness(solid: Solid, surface: int) -> float:
-    """[m] 2 V / A of a surface: of a plate its thickness, of a long rod its radius."""
-    points, triangles = solid.surfaces[surface].points, solid.triangles[surface]
-    area = float(areas(points, triangles).sum())
-    return 2.0 * abs(signed_volume(points, triangles)) / area if area else 0.0
 
 
 NEARER = 1e-7  # [1] of the distance

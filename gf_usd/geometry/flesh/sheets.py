@@ -27,12 +27,11 @@ from scipy.sparse import csr_matrix, diags_array
 from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import Surface
 from gf_usd.core.frames.frame import Pose
-from gf_usd.core.mesh.measures import areas
 from gf_usd.core.stage import Skeleton
 from gf_usd.geometry.flesh.goals import on_skin
 from gf_usd.geometry.flesh.linear_blend import bone_transforms, skinned_with_gradients
 from gf_usd.geometry.flesh.single_joint import single_joint_meshes
-from gf_usd.geometry.solid import Solid, spread_evenly
+from gf_usd.geometry.solid import Bounds, Solid, mean_thickness, spread_evenly
 
 REACH = 0.1  # of the size of the flesh: D
 # A garment: the share of its volume that others fill, of their points outside it, and of its own
@@ -42,6 +41,7 @@ ALONG, HELD = 25, 0.1  # points along a bone, and the share of them by which it 
 # times the thickness: bones of which less is in a mesh go through its wall, as into the sleeve of a
 # jacket, at up to 75 degrees from its normal
 THROUGH = 4.0
+TESTED = 256  # points of a surface, about, that are tested for being inside another one
 PROBES = 4_000  # points in the box of a mesh, by which its volume is compared
 
 
@@ -151,35 +151,59 @@ def garments(solid: Solid, posed: Collection[str]) -> tuple[str, ...]:
 
     Empty where nothing else would be left.
     """
-    boxes = [(s.face_points.min(0), s.face_points.max(0)) for s in solid.surfaces]
-    found = []
-    for k, surface in enumerate(solid.surfaces):
-        if surface.path not in posed or not len(surface.welded.boundary):
+    points = [s.face_points for s in solid.surfaces]
+    found = [
+        surface.path
+        for k, surface in enumerate(solid.surfaces)
+        if surface.path in posed
+        and len(surface.welded.boundary)
+        and _holds_others(solid.bounds, k, points)
+    ]
+    return tuple(found) if len(found) < len(points) else ()
+
+
+def _holds_others(bounds: Sequence[Bounds], k: int, points: Sequence[Floats]) -> bool:
+    """Whether others pass through surface k, fill a part of it, and hold little of it.
+
+    points : (n, 3) [m] of each surface.
+    """
+    mine, own = bounds[k], points[k][:: max(1, len(points[k]) // TESTED)]
+    low, high = points[k].min(0), points[k].max(0)
+    others, covered = [], np.zeros(len(own), bool)
+    for j, other in enumerate(bounds):
+        apart = (other.low >= high).any() or (other.high <= low).any()
+        if j == k or apart or not _passes(points[j], mine):
             continue
-        low, high = boxes[k]
-        others = [
-            j
-            for j, (a, b) in enumerate(boxes)
-            if j != k and (a < high).all() and (b > low).all() and _passes(solid, j, k)
-        ]
-        if not others:
-            continue
-        X = low + (high - low) * spread_evenly(PROBES)
-        X = X[solid.bounds[k].inside(X)]
-        around = solid.part(np.array(others))
-        if len(X) and around.inside(X).mean() >= FILLED and (
-            around.inside(surface.face_points).mean() <= INSIDE
-        ):  # fmt: skip
-            found.append(surface.path)
-    return tuple(found) if len(found) < len(solid.surfaces) else ()
+        others.append(other)
+        covered |= other.inside(own)
+        if covered.mean() > INSIDE:
+            return False
+    if not others:
+        return False
+    X = low + (high - low) * spread_evenly(PROBES)
+    X = X[mine.inside(X)]
+    held = np.zeros(len(X), bool)
+    for other in others:
+        held[~held] = other.inside(X[~held])
+    return bool(len(X)) and bool(held.mean() >= FILLED)
+
+
+def _passes(X: Floats, bounds: Bounds) -> bool:
+    """Whether a share PASSING of the points X (n, 3) [m] of a surface is outside another one, but
+    not all are.
+    """
+    near = X[((bounds.low <= X) & (bounds.high >= X)).all(1)]
+    if not len(near):
+        return False
+    inside = bounds.inside(near[:: max(1, len(near) // TESTED)]).mean() * len(near) / len(X)
+    return bool(0.0 < inside <= 1.0 - PASSING)
 
 
 def thin_sheets(solid: Solid, skeleton: Skeleton, spacing: float) -> dict[str, float]:
     """The mean thickness [m] of the filled meshes that are closed sheets, by prim path.
 
-    It is 2 V / A, that of a wall of volume V with an area A on both sides, and less than the
-    spacing [m] of the particles.  A mesh with a bone in it, not just through it, is flesh, however
-    thin, and one of a single joint moves rigidly.
+    See `mean_thickness`; it is less than the spacing [m] of the particles.  A mesh with a bone in
+    it, not just through it, is flesh, however thin, and one of a single joint moves rigidly.
 
     Empty where no other mesh has a bone in it.
     """
@@ -190,21 +214,12 @@ def thin_sheets(solid: Solid, skeleton: Skeleton, spacing: float) -> dict[str, f
     X = segments[:, None, 0] + along * ways[:, None]
     lengths = np.linalg.norm(ways, axis=1)
     found, flesh = {}, False
-    for surface, triangles, bounds in zip(
-        solid.surfaces, solid.triangles, solid.bounds, strict=True
-    ):
+    for surface, bounds in zip(solid.surfaces, solid.bounds, strict=True):
         share = bounds.inside(X.reshape(-1, 3)).reshape(X.shape[:2]).mean(1)
-        area = float(areas(surface.points, triangles).sum())
-        thickness = 2.0 * abs(surface.signed_volume) / area if area else 0.0
+        thickness = mean_thickness(surface)
         least = THROUGH * thickness if thickness < spacing else 0.0
         if ((share >= HELD) & (share * lengths >= least)).any():
             flesh = True
         elif thickness < spacing and surface.path in skeleton.weights.keys() - single.keys():
             found[surface.path] = thickness
     return found if flesh else {}
-
-
-def _passes(solid: Solid, other: int, index: int) -> bool:
-    """Whether a share PASSING of the points of another surface, but not all, is outside one."""
-    outside = 1.0 - solid.bounds[index].inside(solid.surfaces[other].face_points).mean()
-    return PASSING <= outside < 1.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from scipy.sparse import csr_matrix
 from gf_usd.core.asset import Surface
 from gf_usd.core.frames.frame import Pose
 from gf_usd.core.stage import Bone, Skeleton
+from gf_usd.geometry.flesh import sheets
 from gf_usd.geometry.flesh.sheets import REACH, garments, skinned_sheets, thin_sheets
 
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
@@ -63,9 +65,22 @@ def test_bodies_with_holes_are_no_garments() -> None:
     assert found(torso, column("/core", 0.2, -0.9, 1.4)) == ()
 
 
+def test_few_points_of_a_body_in_a_band_around_it_are_found(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(sheets, "TESTED", 8)  # about which one would be in the band
+    body = column("/body", 0.3, 0.0, 12.0)
+    assert found(body, column("/band", 0.4, 5.0, 6.3, open_ends=2)) == ("/band",)
+
+
 def test_something_is_always_filled() -> None:
-    one, other = (column(f"/{k}", 0.4, 0.5 * k, 0.5 * k + 1.6, open_ends=2) for k in (0, 1))
-    assert len(found(one, other)) < 2
+    """Two open shells that are in each other, each with most of its points outside the other."""
+    across = column("/1", 0.4, -1.2, 1.2, open_ends=2)
+    crossed = solids.surface(across.points[:, [1, 0, 2]], across.triangles[:, ::-1], "/0")
+    each = [s.path for s in (across, crossed)]
+    solid, points = solids.solid(across, crossed), [across.face_points, crossed.face_points]
+    assert all(sheets._holds_others(solid.bounds, k, points) for k in (0, 1))
+    assert garments(solid, each) == ()
 
 
 def skeleton(**weights: int) -> Skeleton:
@@ -158,10 +173,10 @@ def test_points_inside_the_flesh_move_as_it_does_there() -> None:
     inner = column("/skirt", 0.1, 0.5, 1.5, open_ends=2)
     both = skeleton(body=1)
     weights = {**both.weights, "/skirt": csr_matrix(np.eye(2)[[1] * len(inner.points)])}
-    sheets = skinned_sheets(
+    made = skinned_sheets(
         [BODY, inner], solids.solid(BODY), Skeleton(bones=both.bones, weights=weights)
     )
-    sheet = sheets["/skirt"]
+    sheet = made["/skirt"]
     np.testing.assert_array_equal(sheet.near, inner.points)
     n = len(inner.points)
     wanted = Pose(x=inner.points + 3.0, v=np.ones((n, 3)), F=np.tile(np.eye(3), (n, 1, 1)))
@@ -215,3 +230,18 @@ def test_closed_sheets_thinner_than_the_particles_are_apart_are_sheets(
     assert list(found) == (["/skirt"] if thin else [])
     if thin:
         assert found["/skirt"] == pytest.approx(thickness, rel=0.05)
+
+
+def test_mirrored_pads_are_as_thick_as_each_of_them() -> None:
+    """The volumes of a left pad and its mirror image, which was inside out, canceled."""
+    pad = solids.sphere(0.25, (1.0, 1.0, 0.0))
+    mirrored = solids.surface(pad.points * (-1.0, 1.0, 1.0), pad.triangles)
+    pads = solids.joined(pad, mirrored)
+    half = {"segments": np.array([[[0.0, 0.2, 0.0], [0.0, 1.8, 0.0]]]), "free": (False,)}
+    bones = tuple(Bone(name=str(k), anchors=CORNERS, path=CORNERS[None], **half) for k in range(2))
+    weights = {
+        path: csr_matrix(np.full((count, 2), 0.5))
+        for path, count in (("/body", len(BODY.points)), ("/pads", len(pads.points)))
+    }
+    solid = solids.solid(BODY, replace(pads, path="/pads"))
+    assert thin_sheets(solid, Skeleton(bones=bones, weights=weights), spacing=0.05) == {}
