@@ -159,3 +159,12 @@ def test_flesh_without_a_bone_in_it_is_refused(tmp_path: Path, sword: bool) -> N
     options = {"particles": 200, "flesh": True, "output": tmp_path / "out.usda", "draw": None}
     with pytest.raises(InputError, match="none of 2 bones lies inside the flesh"):
         prepare(arm_with(tmp_path, *more, skin=skin), **options)
+
+
+def test_points_of_a_sheet_without_weights_are_counted_in_a_note(tmp_path: Path) -> None:
+    skirt = bound_mesh("Skirt", *FLARED, TWO, [1.0] * 35 + [0.0])
+    plan, _ = prepare(arm_with(tmp_path, skirt), **SCARCE, output=tmp_path / "out.usda")
+    assert list(plan.sheets) == ["/Arm/Skirt"]
+    notes = " ".join(plan.notes)
+    assert "</Arm/Skirt>: 1 of 36 points has no joint weights and takes those" in notes
+    assert "</Arm/Skirt> is not filled: it follows its skinned pose" in notes

@@ -27,6 +27,7 @@ from scipy.sparse import csr_matrix, diags_array
 from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import Surface
 from gf_usd.core.frames.frame import Pose
+from gf_usd.core.neighbors import nearest
 from gf_usd.core.stage import Skeleton
 from gf_usd.geometry.flesh.goals import on_skin
 from gf_usd.geometry.flesh.linear_blend import bone_transforms, skinned_with_gradients
@@ -72,6 +73,7 @@ class Sheet:
     skin: Skinning  # of its points
     flesh: Skinning  # of the nearest points of the flesh
     share: Floats  # (n,) a
+    unbound: int = 0  # of its points, which have the weights of the nearest one that is bound
 
     @property
     def near(self) -> Floats:
@@ -95,7 +97,8 @@ def skinned_sheets(
     filled, weights = solid.filled, skeleton.weights
     rows = [k for k, s in enumerate(solid.surfaces) if s.path in weights]
     found = [s for s in surfaces if s.path not in filled and s.path not in taken]
-    found = [s for s in found if s.splats is None and len(s.points) and whole(weights, s.path)]
+    found = [s for s in found if s.splats is None and len(s.points)]
+    found = [s for s in found if s.path in weights and weights[s.path].sum() > 0.0]
     if not rows or not found:
         return {}
     flesh = solid.part(np.array(rows))
@@ -107,18 +110,26 @@ def skinned_sheets(
         near, bones, known = _nearest(flesh, X, weights)
         ratio = np.minimum(np.linalg.norm(X - near, axis=1) / reach, 1.0)
         motion = {"linear": linear, "offset": offset}
+        own, unbound = _all_bound(X, weights[surface.path])
         out[surface.path] = Sheet(
-            skin=Skinning(X=X, weights=weights[surface.path], **motion),
+            skin=Skinning(X=X, weights=own, **motion),
             flesh=Skinning(X=near, weights=bones, **motion),
+            unbound=unbound,
             share=known * (1.0 - ratio**2 * (3.0 - 2.0 * ratio)),
         )
     return out
 
 
-def whole(weights: Mapping[str, csr_matrix], path: str) -> bool:
-    """Whether every point of a surface is bound to a bone."""
-    found = weights.get(path)
-    return found is not None and bool((np.asarray(found.sum(1)) > 0.0).all())
+def _all_bound(X: Floats, weights: csr_matrix) -> tuple[csr_matrix, int]:
+    """Weights (n, bones) of points X (n, 3) [m], and how many points without any were given those
+    of the nearest point with some.
+    """
+    bound = np.asarray(weights.sum(1)).ravel() > 0.0
+    if bound.all():
+        return weights, 0
+    rows = np.arange(len(X))
+    rows[~bound] = np.flatnonzero(bound)[nearest(X[bound], X[~bound], 1)[1].ravel()]
+    return csr_matrix(weights[rows]), int((~bound).sum())
 
 
 def _nearest(

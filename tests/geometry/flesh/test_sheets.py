@@ -162,11 +162,25 @@ def test_only_meshes_that_are_skinned_and_free_are_sheets() -> None:
     both = skeleton(body=0, skirt=1)
     assert skinned_sheets([BODY, SKIRT], solid, both, taken={"/skirt"}) == {}
     assert skinned_sheets([BODY, SKIRT], solid, skeleton(skirt=1)) == {}, "no flesh is posed"
-    one = both.weights["/skirt"].tolil()
-    one[0] = 0.0
-    weights = {**both.weights, "/skirt": csr_matrix(one)}
+    none = {**both.weights, "/skirt": csr_matrix(both.weights["/skirt"].shape)}
+    unbound = Skeleton(bones=both.bones, weights=none)
+    assert skinned_sheets([BODY, SKIRT], solid, unbound) == {}, "no point has a bone"
+
+
+def test_a_point_without_a_bone_takes_the_weights_of_the_nearest_one() -> None:
+    """For one such point the whole mesh moved with the nearest flesh."""
+    both = skeleton(body=0, skirt=1)
+    partly = both.weights["/skirt"].tolil()
+    y = SKIRT.points[:, 1]
+    partly[y < 1.0] = (1.0, 0.0)
+    whole = csr_matrix(partly)
+    rows = [int(y.argmin()), int(y.argmax())]
+    partly[rows] = 0.0
+    weights = {**both.weights, "/skirt": csr_matrix(partly)}
     loose = Skeleton(bones=both.bones, weights=weights)
-    assert skinned_sheets([BODY, SKIRT], solid, loose) == {}, "a point has no bone"
+    sheet = skinned_sheets([BODY, SKIRT], solids.solid(BODY), loose)["/skirt"]
+    assert sheet.unbound == 2
+    np.testing.assert_array_equal(sheet.skin.weights.toarray(), whole.toarray())
 
 
 def test_points_inside_the_flesh_move_as_it_does_there() -> None:

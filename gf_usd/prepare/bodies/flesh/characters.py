@@ -105,14 +105,25 @@ def worn_meshes(
         part, first = solid.part(np.array(rows)), animation().first
         own = [path for path in paths if owners.get(path, "") == owner]
         skeleton = read_skeleton(file, own, asset.facts, first=first, times=[first])
-        thin = {
-            path: f"it is {length_text(thickness)} thick on average, less than the spacing of the"
-            f" particles, {length_text(spacing)}, {THIN}"
-            for path, thickness in thin_sheets(part, skeleton, spacing).items()
-        }
+        thin = _thin_reasons(thin_sheets(part, skeleton, spacing), spacing)
         found = thin | dict.fromkeys(garments(part, posed), WORN)
         out |= found if len(found) < len(rows) else thin  # which are not all: one has a bone in it
     return out
+
+
+def _thin_reasons(thickness: Mapping[str, float], spacing: float) -> dict[str, str]:
+    """The reason why closed sheets are not filled, the same for all, so that a note lists them.
+
+    thickness : [m] of each; spacing : [m] of the particles.
+    """
+    if not thickness:
+        return {}
+    at_most = "at most " if len(thickness) > 1 else ""
+    text = (
+        f"closed, but {at_most}{length_text(max(thickness.values()))} thick on average, less than"
+        f" the spacing of the particles, {length_text(spacing)}, {THIN}"
+    )
+    return dict.fromkeys(thickness, text)
 
 
 def _apart(

@@ -26,6 +26,7 @@ from gf_usd.prepare.bodies.flesh.mesh_notes import (
     shapes_notes,
     soft_note,
     thin_note,
+    unbound_notes,
     worn_note,
 )
 from gf_usd.prepare.bodies.flesh.poses import (
@@ -164,9 +165,9 @@ def _of_character(
         springs=frequency is not None or bool(goals_painted),
     )  # fmt: skip
     held = {path for pin in pins for path in pin.meshes}
+    sheets = skinned_sheets(asset.surfaces, solid, skeleton, held)
     found: dict[str, Any] = {
-        "pins": pins, "rigid": tuple(kept), "poses": poses,
-        "sheets": skinned_sheets(asset.surfaces, solid, skeleton, held), "shapes": shapes,
+        "pins": pins, "rigid": tuple(kept), "poses": poses, "sheets": sheets, "shapes": shapes,
     }  # fmt: skip
     limits = None
     if squish is not None or stretch is not None:
@@ -174,7 +175,10 @@ def _of_character(
     painted, frequency, goal_notes = _goal_weights(
         asset, solid, skeleton, cores, goals_painted, frequency, cell
     )
-    notes = (*jumps, *notes, *shapes_notes(shapes), *pin_notes, *goal_notes)
+    unbound = {path: (one.unbound, len(one.share)) for path, one in sheets.items()}
+    notes = (
+        *jumps, *notes, *shapes_notes(shapes), *pin_notes, *goal_notes, *unbound_notes(unbound),
+    )  # fmt: skip
     if frequency is None and limits is None:
         return Flesh(notes=notes, **found)
     goals, key_notes = _springs(

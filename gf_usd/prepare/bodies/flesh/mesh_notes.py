@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from gf_usd.core.errors import counted
 from gf_usd.core.stage import BlendShapes
 from gf_usd.core.units import length_text, percent_text
 
@@ -106,4 +107,18 @@ def soft_note(paths: Sequence[str]) -> tuple[str, ...]:
     return (
         f"{_listed(paths)} {moves} with a single joint and {becomes} as soft as the"
         f" rest; --rigid keeps a mesh rigid, such as --rigid {paths[0]}",
+    )
+
+
+def unbound_notes(counts: Mapping[str, tuple[int, int]]) -> tuple[str, ...]:
+    """Notes on sheets with points that no joint moves.
+
+    counts : how many of how many points, by prim path.
+    """
+    return tuple(
+        f"<{path}>: {unbound:,} of {counted(total, 'point')} {'has' if unbound == 1 else 'have'} no"
+        f" joint weights and {'takes' if unbound == 1 else 'take'} those of the nearest point that"
+        f" has"
+        for path, (unbound, total) in counts.items()
+        if unbound
     )

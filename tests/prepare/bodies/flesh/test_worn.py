@@ -27,9 +27,9 @@ def tube(name: str, radius: float, low: float, high: float, hole: float = 0.0) -
     return of_two_joints(name, points, faces[~(end & (np.hypot(*center.T[1:]) < hole))])
 
 
-def wall(name: str, low: float, high: float) -> str:
-    """A closed wall around the arm, 1 cm thick."""
-    made = trimesh.creation.annulus(0.44, 0.45, height=high - low)
+def wall(name: str, low: float, high: float, thickness: float = 0.01) -> str:
+    """A closed wall around the arm, as thick as given [m]."""
+    made = trimesh.creation.annulus(0.45 - thickness, 0.45, height=high - low)
     points = np.array(made.vertices)[:, [2, 0, 1]] + (0.5 * (low + high), 0.0, 0.0)
     return of_two_joints(name, points, np.array(made.faces))
 
@@ -83,3 +83,12 @@ def test_something_of_each_character_is_filled(tmp_path: Path) -> None:
     inner = wall("Sleeve", 0.2, 3.0)
     coat = tube("Body", 0.46, 0.0, 2.0, hole=0.45)
     assert list(worn(tmp_path, (coat, inner), (BODY,))) == ["/World/C0/Sleeve"]
+
+
+def test_closed_sheets_of_different_thickness_share_a_reason(tmp_path: Path) -> None:
+    """Each had a note of its own."""
+    thick = [wall(f"S{k}", 0.6 + 0.2 * k, 0.7 + 0.2 * k, 0.01 + 0.002 * k) for k in range(4)]
+    reasons = worn(tmp_path, (BODY, *thick))
+    assert len(reasons) == 4
+    (reason,) = set(reasons.values())
+    assert reason.startswith("closed, but at most 1.5")
