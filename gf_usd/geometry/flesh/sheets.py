@@ -61,9 +61,13 @@ class Skinning:
         return skinned_with_gradients(self.weights, self.linear[k], self.offset[k], self.X)
 
     def rate(self, frame: int, frame_time: float) -> NDArray[np.float64]:
-        """(n, 3) [m/s] by central differences of frames that are `frame_time` [s] apart."""
-        before, after = self.at(frame - 1)[0], self.at(frame + 1)[0]
-        return (after - before) / (frame_time * (2.0 if frame else 1.0))
+        """(n, 3) [m/s] by central differences of frames that are `frame_time` [s] apart, and by
+        one-sided ones at the first and the last.
+        """
+        before, after = max(frame - 1, 0), min(frame + 1, len(self.linear) - 1)
+        if after <= before:
+            return np.zeros_like(self.X)
+        return (self.at(after)[0] - self.at(before)[0]) / (frame_time * (after - before))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -406,7 +406,9 @@ class PinConstraint:
         before = self.pose(part, X[mine], max(index - 1, 0))[0]
         after = self.pose(part, X[mine], index + 1)[0]
         out_x, out_v, out_F = pose.x.copy(), pose.v.copy(), pose.F.copy()
-        rate = (after - before) / (frame_time * (2.0 if index else 1.0))
+        last = np.array([len(motion.path) - 1 for motion in self.motions])
+        steps = np.maximum(np.minimum(index + 1, last) - max(index - 1, 0), 1)  # 0: it is at rest
+        rate = (after - before) / (frame_time * steps[part.axes])
         out_x[mine] = np.where(fixed, x + offset, out_x[mine])
         out_v[mine] = np.where(fixed, rate, out_v[mine])
         out_F[mine] = np.where(fixed[:, :, None], F, out_F[mine])

@@ -121,13 +121,22 @@ def test_a_sheet_follows_its_skinned_pose_and_the_flesh_near_it() -> None:
     between = (pose.x - skinned)[~far]
     assert (np.abs(between[:, :2]) < 1e-9).all()
     assert (between[:, 2] <= 0.1 + 1e-9).all()
-    # central difference with the frame behind the last one, which is the last one
-    rate = (skinned - X) / (2.0 * 0.5)
+    rate = (skinned - X) / 0.5  # one-sided at the last frame
     np.testing.assert_allclose(pose.v[far], rate[far], atol=1e-9)
     np.testing.assert_allclose(pose.v[touching], (rate + 2.0 * away)[touching], atol=1e-9)
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     np.testing.assert_allclose(pose.F[far], np.tile(turn, (far.sum(), 1, 1)), atol=1e-12)
     np.testing.assert_allclose(pose.F[touching][0], turn + 0.1 * np.eye(3), atol=1e-9)
+
+
+def test_rates_of_skinned_points_are_exact_for_a_constant_velocity() -> None:
+    """At the last frame the rate was half of it."""
+    offset = np.arange(4.0)[:, None, None] * (0.0, 0.0, 0.3)
+    X, linear = np.zeros((1, 3)), np.tile(np.eye(3), (4, 1, 1, 1))
+    skin = sheets.Skinning(X=X, weights=csr_matrix([[1.0]]), linear=linear, offset=offset)
+    rates = [skin.rate(frame, 0.1)[0] for frame in range(4)]
+    np.testing.assert_allclose(rates, np.tile((0.0, 0.0, 3.0), (4, 1)))
+    assert not skin.rate(5, 0.1).any(), "it stays after the last frame"
 
 
 def test_a_sheet_next_to_flesh_without_weights_follows_its_skinned_pose() -> None:

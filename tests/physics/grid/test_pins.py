@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from slow_parameters import slow_but
-from solids import asset, cube, fill, preset_material, settings, solid, surface
+from solids import asset, cube, fill, preset_material, resting_pose, settings, solid, surface
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import InputError
@@ -421,6 +421,24 @@ def test_a_holder_tells_moving_regions_from_still_ones() -> None:
     assert not PinConstraint([box("box:-1,-1,-1,0,2,2")], bar().X).moving
     moved = np.stack([points, points + 1.0])
     assert PinConstraint([box("box:-1,-1,-1,0,2,2", moved, points)], bar().X).moving
+
+
+def test_rates_of_pinned_points_are_exact_for_a_constant_velocity() -> None:
+    """At the last frame of an animation the rate was half of it."""
+    points = np.zeros((4, 3)) + np.eye(4, 3)
+    fast, slow = (
+        points + np.arange(count)[:, None, None] * np.array([velocity, 0.0, 0.0])
+        for count, velocity in ((3, 0.3), (5, 0.1))
+    )
+    pins = [box("box:-1,-1,-1,0.2,2,2", fast, points), box("box:0.8,-1,-1,2,2,2", slow, points)]
+    constraint = PinConstraint(pins, bar().X)
+    X = np.array([[0.1, 0.1, 0.1], [0.9, 0.1, 0.1]])
+    held, rates = pinned_by(pins, X), []
+    for index in range(6):
+        pose = constraint.override(held, X, resting_pose(X), index, 0.1, np.zeros(3))
+        rates.append(pose.v[:, 0])
+    expected = [[3.0, 1.0], [3.0, 1.0], [3.0, 1.0], [0.0, 1.0], [0.0, 1.0], [0.0, 0.0]]
+    np.testing.assert_allclose(rates, expected, atol=1e-9)
 
 
 def core(name: str, low: float, high: float, path: Floats) -> Pin:

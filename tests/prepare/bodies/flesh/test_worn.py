@@ -91,4 +91,4 @@ def test_closed_sheets_of_different_thickness_share_a_reason(tmp_path: Path) -> 
     reasons = worn(tmp_path, (BODY, *thick))
     assert len(reasons) == 4
     (reason,) = set(reasons.values())
-    assert reason.startswith("closed, but at most 1.5")
+    assert reason.startswith("closed, but at most 1.3")
