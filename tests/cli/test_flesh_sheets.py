@@ -118,13 +118,29 @@ def test_a_prim_with_sheets_only_cannot_be_rigid(tmp_path: Path) -> None:
     assert "a mesh that is closed" in refused.value.hint
 
 
-def test_a_closed_sheet_that_cannot_be_rigid_is_not_called_open(tmp_path: Path) -> None:
+def solidified() -> str:
+    """A closed wall around the arm, 1 cm thick: /Arm/Skirt."""
     made = trimesh.creation.annulus(0.44, 0.45, height=0.6)
     X = np.array(made.vertices)[:, [2, 0, 1]] + (0.5, 0.0, 0.0)
-    sheet = bound_mesh("Skirt", X, made.faces, [0, 1] * len(X), [0.5] * 2 * len(X))
+    return bound_mesh("Skirt", X, made.faces, [0, 1] * len(X), [0.5] * 2 * len(X))
+
+
+def test_repair_leaves_closed_sheets_and_thickens_open_ones(tmp_path: Path) -> None:
+    """With --repair a solidified skirt was a slab of jelly again."""
+    path = arm_with(tmp_path, solidified(), bound_mesh("Open", *FLARED, TWO))
+    plan, _ = prepare(path, **SCARCE, repair=True, output=tmp_path / "out.usda")
+    assert list(plan.sheets) == ["/Arm/Skirt"]
+    notes = " ".join(plan.notes)
+    assert "</Arm/Skirt> is not filled: it follows its skinned pose" in notes
+    assert "</Arm/Skirt> repaired" not in notes
+    thick = {one.path: one.thickened for one in plan.repairs}
+    assert thick == {"/Arm/Skin": 0, "/Arm/Open": 1, "/Arm/Skirt": 0}
+
+
+def test_a_closed_sheet_that_cannot_be_rigid_is_not_called_open(tmp_path: Path) -> None:
     options = SCARCE | {"rigid": ["/Arm/Skirt"], "output": tmp_path / "out.usda"}
     with pytest.raises(InputError) as refused:
-        prepare(arm_with(tmp_path, sheet), **options)
+        prepare(arm_with(tmp_path, solidified()), **options)
     assert "mm thick on average, less than" in refused.value.message
     assert "volume" not in refused.value.message
     assert refused.value.hint == "omit it; or use more --particles, or bind it to a single joint"
@@ -168,3 +184,14 @@ def test_points_of_a_sheet_without_weights_are_counted_in_a_note(tmp_path: Path)
     notes = " ".join(plan.notes)
     assert "</Arm/Skirt>: 1 of 36 points has no joint weights and takes those" in notes
     assert "</Arm/Skirt> is not filled: it follows its skinned pose" in notes
+
+
+def test_a_thickened_sheet_has_springs(tmp_path: Path) -> None:
+    """It has more points than weights: there was a traceback."""
+    path = arm_with(tmp_path, bound_mesh("Open", *FLARED, TWO))
+    options = SCARCE | {"repair": True, "goal_frequency": 4.0}
+    plan, _ = prepare(path, **options, output=tmp_path / "out.usda")
+    assert plan.goals is not None
+    X = np.array([[0.2, 1.1, 0.0]])  # at the ring of joint B
+    ends = [plan.goals.pose(X)(frame) for frame in (0, LAST - FIRST + 6)]
+    assert np.linalg.norm(ends[1] - ends[0]) > 0.5, "it turns about B, 1.4 m from there"

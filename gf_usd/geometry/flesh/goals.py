@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from gf_usd.core.arrays import Floats, Ints, cross
+from gf_usd.core.asset import Surface
 from gf_usd.core.frames.particles import SurfaceSamples
 from gf_usd.core.neighbors import nearest
 from gf_usd.core.stage import FleshLimits, Goals, Skeleton
@@ -163,10 +164,24 @@ def _skin_samples(
     for surface, near in zip(solid.surfaces, skin):
         known = skeleton.weights.get(surface.path)
         if known is not None:
-            total += near.to_points(len(surface.points)) @ known
+            total += near.to_points(len(surface.points)) @ weights_with_thickened(surface, known)
     if skeleton.samples is not None:
         total = skeleton.samples.weights
     return SkinSamples(X=samples.X, weights=sparse.csr_matrix(total), goal=goal, spacing=spacing)
+
+
+def weights_with_thickened(surface: Surface, weights: sparse.csr_matrix) -> sparse.csr_matrix:
+    """Weights (V, bones) of all points of a surface, from those of its authored ones.
+
+    A thickened surface has more points, after the authored ones: each takes the weights of the
+    nearest of these.
+    """
+    count = weights.shape[0]
+    more = surface.points[count:]
+    if not len(more):
+        return weights
+    rows = nearest(surface.points[:count], more, 1)[1].ravel()
+    return sparse.csr_matrix(sparse.vstack([weights, weights[rows]]))
 
 
 def _painted_goal(

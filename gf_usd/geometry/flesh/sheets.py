@@ -29,10 +29,10 @@ from gf_usd.core.asset import Surface
 from gf_usd.core.frames.frame import Pose
 from gf_usd.core.neighbors import nearest
 from gf_usd.core.stage import Skeleton
-from gf_usd.geometry.flesh.goals import on_skin
+from gf_usd.geometry.flesh.goals import on_skin, weights_with_thickened
 from gf_usd.geometry.flesh.linear_blend import bone_transforms, skinned_with_gradients
 from gf_usd.geometry.flesh.single_joint import single_joint_meshes
-from gf_usd.geometry.solid import Bounds, Solid, mean_thickness, spread_evenly
+from gf_usd.geometry.solid import Bounds, Solid, closed_triangles, mean_thickness, spread_evenly
 
 REACH = 0.1  # of the size of the flesh: D
 # A garment: the share of its volume that others fill, of their points outside it, and of its own
@@ -147,7 +147,7 @@ def _nearest(
     for surface, on in zip(flesh.surfaces, on_skin(flesh, X), strict=True):
         to_points = on.to_points(len(surface.points))
         near += to_points @ surface.points
-        bones = to_points @ weights[surface.path]
+        bones = to_points @ weights_with_thickened(surface, weights[surface.path])
         total = bones if total is None else total + bones
     within, (bones, known) = flesh.inside(X), unit_rows(csr_matrix(total))
     return np.where(within[:, None], X, near), bones, known
@@ -214,11 +214,16 @@ def _passes(X: Floats, bounds: Bounds) -> bool:
     return bool(0.0 < inside <= 1.0 - PASSING)
 
 
-def thin_sheets(solid: Solid, skeleton: Skeleton, spacing: float) -> dict[str, float]:
+def thin_sheets(
+    solid: Solid, skeleton: Skeleton, spacing: float, drawn: Sequence[Surface] = ()
+) -> dict[str, float]:
     """The mean thickness [m] of the filled meshes that are closed sheets, by prim path.
 
     See `mean_thickness`; it is less than the spacing [m] of the particles.  A mesh with a bone in
     it, not just through it, is flesh, however thin, and one of a single joint moves rigidly.
+
+    drawn : the authored surfaces, where those of the solid may have been thickened: open ones are
+        no closed sheets.
 
     Empty where no other mesh has a bone in it.
     """
@@ -229,12 +234,15 @@ def thin_sheets(solid: Solid, skeleton: Skeleton, spacing: float) -> dict[str, f
     X = segments[:, None, 0] + along * ways[:, None]
     lengths = np.linalg.norm(ways, axis=1)
     found, flesh = {}, False
+    authored = {s.path: s for s in drawn}
     for surface, bounds in zip(solid.surfaces, solid.bounds, strict=True):
         share = bounds.inside(X.reshape(-1, 3)).reshape(X.shape[:2]).mean(1)
-        thickness = mean_thickness(surface)
+        one = authored.get(surface.path, surface)
+        thickness = mean_thickness(one)
         least = THROUGH * thickness if thickness < spacing else 0.0
         if ((share >= HELD) & (share * lengths >= least)).any():
             flesh = True
-        elif thickness < spacing and surface.path in skeleton.weights.keys() - single.keys():
-            found[surface.path] = thickness
+        elif surface.path in skeleton.weights.keys() - single.keys():
+            if thickness < spacing and not closed_triangles(one)[2]:
+                found[surface.path] = thickness
     return found if flesh else {}

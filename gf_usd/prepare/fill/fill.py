@@ -133,7 +133,7 @@ def fill(
             asset = alone
             meshes = build(asset)
         motion = partial(read_animation, asset, file, request.start)
-        worn = {} if repair else worn_meshes(asset, meshes.solid, file, spacing, motion)
+        worn = worn_meshes(asset, meshes.solid, file, spacing, motion, repaired=repair)
         if worn:
             meshes = build(asset, unfilled=worn)
     scenery: list[Surface] = []

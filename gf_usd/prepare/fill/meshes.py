@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -131,6 +131,7 @@ def build_meshes(
             resolution,
             paper=paper,
             groups=_with_inner_sides(joined.groups, walls.outer),
+            unfilled=unfilled or {},
         )
         thickened = any(one.thickened for one in repairs)
         return FilledMeshes(
@@ -210,6 +211,7 @@ def repair_for_fill(
     *,
     paper: bool,
     groups: Sequence[tuple[str, ...]] = (),
+    unfilled: Collection[str] = (),
 ) -> tuple[Asset, Asset, tuple[Repairs, ...], float | None]:
     """The repaired asset, the same with sheets thickened for the fill, and the repairs.
 
@@ -219,19 +221,27 @@ def repair_for_fill(
 
     resolution : the requested one, for the volumes of the repaired surfaces.
     groups : prim paths of meshes that are one surface; the first is that of the surface.
+    unfilled : prim paths of surfaces that are not thickened, and do not count.
     """
     from gf_usd.geometry.repair import repair_asset
     from gf_usd.geometry.thin.thicken import thicken_asset, thicken_to_count
 
     repaired, repairs = repair_asset(asset)
+    kept = [k for k, s in enumerate(repaired.surfaces) if s.path not in unfilled]
+    whole = replace(repaired, surfaces=tuple(repaired.surfaces[k] for k in kept))
+    own, spacing = tuple(repairs[k] for k in kept), None
     requested = resolution(
         lambda: _volumes(
-            ((s, signed_volume(s.points, s.triangles)) for s in repaired.surfaces), groups
+            ((s, signed_volume(s.points, s.triangles)) for s in whole.surfaces), groups
         )
     )
     if requested.spacing is None and not paper:
-        return repaired, *thicken_to_count(repaired, repairs, requested.particles)
-    filled, repairs = thicken_asset(
-        repaired, repairs, spacing=requested.spacing, particles=requested.particles
-    )
-    return repaired, filled, repairs, None
+        filled, own, spacing = thicken_to_count(whole, own, requested.particles)
+    else:
+        filled, own = thicken_asset(
+            whole, own, spacing=requested.spacing, particles=requested.particles
+        )
+    surfaces, every = list(repaired.surfaces), list(repairs)
+    for k, surface, one in zip(kept, filled.surfaces, own, strict=True):
+        surfaces[k], every[k] = surface, one
+    return repaired, replace(repaired, surfaces=tuple(surfaces)), tuple(every), spacing

@@ -78,14 +78,16 @@ def without_props(asset: Asset, solid: Solid, file: Path, spacing: float) -> Ass
 
 
 def worn_meshes(
-    asset: Asset, solid: Solid, file: Path, spacing: float, animation: Callable[[], Animation]
-) -> dict[str, str]:
+    asset: Asset, solid: Solid, file: Path, spacing: float, animation: Callable[[], Animation],
+    *, repaired: bool = False,
+) -> dict[str, str]:  # fmt: skip
     """The reason why each of the garments of characters bounds no volume, by prim path.
 
     Only meshes of the same character count, since bind poses may overlap, and something of each is
     filled.
 
     spacing : [m] approximate spacing of the particles; animation : reads that of the asset.
+    repaired : open meshes are closed or thickened, so that only closed sheets bound none.
     """
     from gf_usd.geometry.flesh.sheets import garments, thin_sheets
     from gf_usd.readers.usd.skeleton.bones import read_skeleton, skeletons
@@ -105,8 +107,9 @@ def worn_meshes(
         part, first = solid.part(np.array(rows)), animation().first
         own = [path for path in paths if owners.get(path, "") == owner]
         skeleton = read_skeleton(file, own, asset.facts, first=first, times=[first])
-        thin = _thin_reasons(thin_sheets(part, skeleton, spacing), spacing)
-        found = thin | dict.fromkeys(garments(part, posed), WORN)
+        drawn = asset.surfaces if repaired else ()
+        thin = _thin_reasons(thin_sheets(part, skeleton, spacing, drawn), spacing)
+        found = thin | dict.fromkeys(() if repaired else garments(part, posed), WORN)
         out |= found if len(found) < len(rows) else thin  # which are not all: one has a bone in it
     return out
 
