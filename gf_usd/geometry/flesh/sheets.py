@@ -242,7 +242,10 @@ def thin_sheets(
         least = THROUGH * thickness if thickness < spacing else 0.0
         if ((share >= HELD) & (share * lengths >= least)).any():
             flesh = True
-        elif surface.path in skeleton.weights.keys() - single.keys():
-            if thickness < spacing and not closed_triangles(one)[2]:
-                found[surface.path] = thickness
+        elif (
+            surface.path in skeleton.weights.keys() - single.keys()
+            and thickness < spacing
+            and not closed_triangles(one)[2]
+        ):
+            found[surface.path] = thickness
     return found if flesh else {}
