@@ -189,8 +189,8 @@ def _held_more(h: HealthSummary) -> str:
     """Text: how to hold more of a body that hangs from what is held."""
     if h.get("flesh"):
         return (
-            "hold more of the flesh: --goal-frequency 4 pulls it to its skinned pose, --stretch 0.5"
-            " keeps it near, and a larger --bone-radius leaves less of it loose"
+            "hold more of the flesh: by stiffer springs to its skinned pose (--goal-frequency 4 or"
+            " more), a lower limit (--stretch 0.5 or less), or a larger --bone-radius"
         )
     return "pin a larger region of what is pinned"
 
