@@ -176,5 +176,10 @@ def _along(start: Floats, end: Floats) -> NDArray[np.float64]:
 
 
 def _some(names: Sequence[str]) -> str:
-    more = f" and {counted(len(names) - 3, 'more bone')}" if len(names) > 3 else ""
-    return ", ".join(names[:3]) + more
+    """The first three of some bones, and how many more there are: by their joints alone where these
+    differ.
+    """
+    joints = [name.rpartition(":")[2].rpartition("/")[2] if "/" in name else name for name in names]
+    named = joints if len(set(joints)) == len(joints) else names
+    more = f" and {counted(len(named) - 3, 'more bone')}" if len(named) > 3 else ""
+    return ", ".join(named[:3]) + more

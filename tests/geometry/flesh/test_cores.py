@@ -3,10 +3,19 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from solids import cube, solid
 
 from gf_usd.core.stage import Bone
-from gf_usd.geometry.flesh.cores import CLEAR, MOST_CLEAR, WIDER, Core, bone_cores, bone_pins
+from gf_usd.geometry.flesh.cores import (
+    CLEAR,
+    MOST_CLEAR,
+    WIDER,
+    Core,
+    _some,
+    bone_cores,
+    bone_pins,
+)
 
 BAR = solid(cube((0.0, -0.2, -0.2), (2.0, 0.4, 0.4)))  # 0.2 m from its axis to the skin
 CELL = 0.1
@@ -60,3 +69,16 @@ def test_a_bone_outside_holds_nothing_and_a_thin_limb_moves_with_its_bone() -> N
     assert not pin.sharp
     # 0.2 of 0.2 m, and 0.71 cells
     assert pin.inside(np.array([[1.0, 0.39, 0.0], [1.0, 0.4, 0.0]])).tolist() == [True, False]
+
+
+@pytest.mark.parametrize(
+    ("names", "text"),
+    [
+        (["medial:3", "medial:4"], "medial:3, medial:4"),
+        (["/Hero/Rig:hips", "/Hero/Rig:hips/spine/head"], "hips, head"),
+        ([f"/Hero/Rig:hips/tail{k}" for k in range(5)], "tail0, tail1, tail2 and 2 more bones"),
+        (["/A/Rig:hips", "/B/Rig:hips"], "/A/Rig:hips, /B/Rig:hips"),
+    ],
+)
+def test_bones_are_named_by_their_joints_where_these_differ(names: list[str], text: str) -> None:
+    assert _some(names) == text
