@@ -43,7 +43,6 @@ class Limbs:
     """The copies of the cells of a solid, and the lookup of the copy of a point."""
 
     copies: CellCopies
-    nodes: int  # additional copies of nodes
     crowded: int  # cells with more than MOST_PATCHES, treated as one part
     _patches: Patches
     _piece: Ints  # (P,) copy of each row of the patches; -1: a part without particles
@@ -99,12 +98,10 @@ def find_limbs(solid: Solid, particles: Particles, of_surface: Ints) -> Limbs | 
     place = apart[full][:, None, :] + np.stack(np.unravel_index(np.arange(27), (3, 3, 3)), -1)
     place -= place.min((0, 1))
     key = np.ravel_multi_index(tuple(np.moveaxis(place, 2, 0)), tuple(place.max((0, 1)) + 1))
-    extra = len(np.unique(node[full])) - len(np.unique(key))  # nodes minus grid positions
-    if not extra:
+    if len(np.unique(node[full])) == len(np.unique(key)):  # as many nodes as grid positions
         return None
     return Limbs(
         copies=CellCopies(h=h, cell=ijk, body=body, links=links, of=of),
-        nodes=extra,
         crowded=parts.crowded,
         _patches=rows,
         _piece=number[parts.of_patch[rows.patch]],

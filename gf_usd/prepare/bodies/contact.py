@@ -53,14 +53,11 @@ def separate_limbs(
         replace(skin, cell_copy=limbs.of_points(skin.points, np.full(len(skin.points), k)))
         for k, skin in enumerate(setup.skins)
     )
-    notes = [
-        "parts that are close at rest can move apart:"
-        f" {counted(limbs.nodes, 'grid node is', 'grid nodes are')} duplicated"
-    ]
+    notes = []
     if limbs.crowded:
         notes.append(
-            f"in {limbs.crowded} grid cells surfaces are too close together to be separated: parts"
-            " in them move together"
+            f"in {counted(limbs.crowded, 'grid cell')} surfaces are too close together to be"
+            " separated: parts in them move together"
         )
     return LimbPlan(
         particles=replace(filled.particles, copies=limbs.copies),
