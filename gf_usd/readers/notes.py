@@ -115,6 +115,11 @@ def unit_and_axis(
             f"{kind} files state no up axis: {axis} is assumed (--up-axis{hint})",
         ),
     }
+    if unit_from == axis_from == ASSUMED:
+        return [
+            f"{kind} files state no unit and no up axis: {unit:g} m per unit is assumed{chosen}"
+            f" (--meters-per-unit), and {axis} up (--up-axis{hint})"
+        ]
     return [
         phrases[origin][which]
         for which, origin in enumerate((unit_from, axis_from))

@@ -285,6 +285,6 @@ def test_units_and_axes(tmp_path):
     assert (asset.facts.unit_from, asset.facts.axis_from) == ("option", "option")
     facts = read_asset(path).facts
     assumed = facts.notes
-    assert any("no unit: 1 m per unit is assumed" in note for note in assumed)
-    assert any("no up axis: Y is assumed" in note for note in assumed)
+    (note,) = (note for note in assumed if "state no unit and no up axis" in note)
+    assert "1 m per unit is assumed (--meters-per-unit), and Y up (--up-axis, or -Y" in note
     assert (facts.unit_from, facts.axis_from) == ("assumed", "assumed")
