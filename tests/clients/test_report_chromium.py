@@ -46,10 +46,14 @@ class Browser:
         return self.page.evaluate("Array.from(player.viewer.places)")
 
     def until(self, condition: str) -> None:
-        """Wait up to 20 s; the page's policy forbids the eval that playwright would wait with."""
+        """Wait, at least 20 s; the page's policy forbids the eval that playwright would wait with.
+
+        Each screenshot makes the browser draw, which it may put off for minutes on busy cores.
+        """
         for _ in range(400):
             if self.page.evaluate(condition):
                 return
+            self.page.screenshot()
             self.page.wait_for_timeout(50)
         raise AssertionError(f"never: {condition}")
 
