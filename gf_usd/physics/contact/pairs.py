@@ -19,18 +19,11 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints, Segments
 from gf_usd.core.frames.particles import SurfaceSamples
+from gf_usd.physics.contact.detection.body_skins import BodySkin, BodySkins, PosedSkin
 from gf_usd.physics.contact.detection.broad_phase import BroadPhase
-from gf_usd.physics.contact.detection.narrow_phase import (
-    CLOSER,
-    FACING,
-    TRAVEL,
-    BodySkin,
-    BodySkins,
-    ContactSearch,
-    PosedSkin,
-    pair_values,
-)
+from gf_usd.physics.contact.detection.narrow_phase import CLOSER, FACING, TRAVEL, ContactSearch
 from gf_usd.physics.contact.detection.pair_search import PairSearch
+from gf_usd.physics.contact.detection.pair_values import pair_values
 from gf_usd.physics.contact.distance.closest import Closest
 from gf_usd.physics.contact.distance.first_overlaps import FirstOverlaps
 from gf_usd.physics.contact.floor import HARD, FloorContact

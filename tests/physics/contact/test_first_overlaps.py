@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from solids import CUBE_POINTS, CUBE_TRIANGLES
 
-from gf_usd.physics.contact.detection.narrow_phase import PosedSkin
+from gf_usd.physics.contact.detection.body_skins import PosedSkin
 from gf_usd.physics.contact.distance.first_overlaps import FirstOverlaps, depths
 from gf_usd.physics.contact.distance.tree import SurfaceTree
 from gf_usd.system.taichi_runtime import ensure_running

@@ -22,7 +22,7 @@ from solids import (
 from gf_usd.core.asset import Surface
 from gf_usd.core.frames.settings import Settings
 from gf_usd.core.materials.dimensionless import FILTER_RATE, G0, time_scale
-from gf_usd.physics.contact.detection.narrow_phase import pair_values
+from gf_usd.physics.contact.detection.pair_values import pair_values
 from gf_usd.physics.contact.floor import (
     LIGHT,
     STIFF,

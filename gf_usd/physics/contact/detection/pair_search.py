@@ -8,7 +8,8 @@ from functools import partial
 import numpy as np
 
 from gf_usd.core.arrays import Floats
-from gf_usd.physics.contact.detection.narrow_phase import BodySkins, ContactSearch
+from gf_usd.physics.contact.detection.body_skins import BodySkins
+from gf_usd.physics.contact.detection.narrow_phase import ContactSearch
 from gf_usd.physics.contact.distance.first_overlaps import FirstOverlaps
 from gf_usd.physics.contact.obstacles.edge_points import EdgePoints
 from gf_usd.physics.contact.obstacles.edge_search import ABOUT

@@ -23,7 +23,7 @@ SAMPLE, OTHER, GROUP = range(3)  # columns
 
 
 class Surface(Protocol):
-    """A surface in one pose: see `narrow_phase.PosedSkin`."""
+    """A surface in one pose: see `body_skins.PosedSkin`."""
 
     @property
     def box(self) -> tuple[Floats, Floats]: ...

@@ -21,7 +21,8 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints, lengths, nonzero_rows
 from gf_usd.core.stage import Collider
-from gf_usd.physics.contact.detection.narrow_phase import ContactSearch, PosedSkin
+from gf_usd.physics.contact.detection.body_skins import PosedSkin
+from gf_usd.physics.contact.detection.narrow_phase import ContactSearch
 from gf_usd.physics.contact.obstacles.edge_search import (
     NEAR,
     STAY,

@@ -16,7 +16,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints, corners, lengths, row_dots
 from gf_usd.core.neighbors import kd_tree
-from gf_usd.physics.contact.detection.narrow_phase import PosedSkin
+from gf_usd.physics.contact.detection.body_skins import PosedSkin
 from gf_usd.physics.contact.distance.closest import Closest
 from gf_usd.physics.contact.obstacles.obstacle import Obstacle
 from gf_usd.physics.contact.obstacles.piercing import FAR

@@ -20,7 +20,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints, corners
 from gf_usd.core.frames.frame import pierced_weight
 from gf_usd.core.stage import ContactSetup
-from gf_usd.physics.contact.detection.narrow_phase import PosedSkin
+from gf_usd.physics.contact.detection.body_skins import PosedSkin
 from gf_usd.physics.contact.distance.closest import Closest
 from gf_usd.physics.contact.obstacles.obstacle import Obstacle, box_gap
 from gf_usd.physics.contact.obstacles.sharp import SharpFeatures, SharpPoints, known_values

@@ -50,7 +50,7 @@ def write_planes(
 ) -> None:
     """Write planes to the rows of `pair` (n, ROW), and reset the results of the kernels.
 
-    values : of `narrow_phase.pair_values`; hardening : [1/m^2]. REST and DRIFT are not written.
+    values : of `pair_values`; hardening : [1/m^2]. REST and DRIFT are not written.
     """
     pair[:, PLACE:RATE] = 0.0
     pair[:, FORCE:POINT] = 0.0
