@@ -27,6 +27,7 @@ WHOLE = {
                                                "prepare/fill/fill.py",
                                                "prepare/options/choices.py",
                                                "prepare/options/implied.py",
+                                               "prepare/options/parse.py",
                                                "prepare/prepare.py", "pipeline/scene.py",
                                                "batch/manifest.py"},
 }  # fmt: skip

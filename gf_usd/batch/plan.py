@@ -20,7 +20,7 @@ from typing import Any
 from gf_usd.batch.job import RECORD, Job
 from gf_usd.batch.manifest import Group, Manifest, is_unset, material_files, obstacle_files
 from gf_usd.core.errors import InputError, UsageError
-from gf_usd.prepare.outputs import outputs, sequences
+from gf_usd.prepare.outputs.outputs import outputs, sequences
 
 UNFIT = re.compile(r"[^\w.+]+")  # letters and digits of any script
 LONGEST_PART = 200  # bytes of a file name: files next to the root layer have longer names

@@ -16,7 +16,7 @@ from gf_usd.batch.job import Job, Outcome
 from gf_usd.batch.record import read_record
 from gf_usd.core.errors import UsageError
 from gf_usd.prepare.options.texts import parse_frames
-from gf_usd.prepare.outputs import interrupted, outputs
+from gf_usd.prepare.outputs.outputs import interrupted, outputs
 
 SETTLED = ("failed", "refused", "unsound")  # another slice would end the same
 NOT_ATTEMPTED = ("stopped", "busy")

@@ -23,7 +23,7 @@ from gf_usd.batch.record import (
 from gf_usd.batch.slices import final_outcome, resumable, time_spent
 from gf_usd.batch.verdict import Attempt, attempt_outcome
 from gf_usd.core.errors import GfUsdError
-from gf_usd.prepare.outputs import outputs
+from gf_usd.prepare.outputs.outputs import outputs
 from gf_usd.system.file_locks import Held, acquire
 from gf_usd.system.processes import ProcessResult
 from gf_usd.system.warm.workers import Commands, listening

@@ -10,7 +10,7 @@ from typing import Any
 
 from gf_usd.batch.job import Job, Outcome
 from gf_usd.core.errors import counted
-from gf_usd.prepare.outputs import RESUME
+from gf_usd.prepare.outputs.outputs import RESUME
 from gf_usd.system.processes import KILLED, ProcessResult, signal_name
 
 LOG = 4000  # characters of stderr that are kept of a bake that failed

@@ -37,7 +37,7 @@ from gf_usd.core.frames.settings import Settings
 from gf_usd.core.materials.material import Material
 from gf_usd.core.stage import Collider
 from gf_usd.pipeline.health.log import health_of
-from gf_usd.prepare.outputs import Outputs, remove_stale
+from gf_usd.prepare.outputs.outputs import Outputs, remove_stale
 from gf_usd.prepare.plan import Variant
 from gf_usd.system.atomic_files import dropped_on_failure, partial_path, publish
 from gf_usd.system.fingerprint import program

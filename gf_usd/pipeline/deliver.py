@@ -15,7 +15,7 @@ from gf_usd.core.asset import Asset
 from gf_usd.core.errors import UsageError
 from gf_usd.core.frames.choices import Choices
 from gf_usd.pipeline.checkpoint import Resume, discard_checkpoints
-from gf_usd.prepare.outputs import Outputs, Stamp, Stamps, stamp
+from gf_usd.prepare.outputs.outputs import Outputs, Stamp, Stamps, stamp
 from gf_usd.system import file_locks
 from gf_usd.system.atomic_files import drop_working, partial_path, publish
 

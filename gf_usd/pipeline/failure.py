@@ -14,7 +14,7 @@ from gf_usd.core.frames.particles import Particles
 from gf_usd.core.frames.settings import Settings, sampled
 from gf_usd.core.units import code_text
 from gf_usd.pipeline.deliver import Delivery
-from gf_usd.prepare.outputs import report_of_failure
+from gf_usd.prepare.outputs.outputs import report_of_failure
 from gf_usd.system.atomic_files import dropped_on_failure, publish_text
 
 if TYPE_CHECKING:

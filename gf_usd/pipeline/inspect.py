@@ -60,12 +60,12 @@ from gf_usd.pipeline.prepared import Prepared, draw, with_shot_length
 from gf_usd.prepare.asset_size import implausible_size, size
 from gf_usd.prepare.fill.inputs import repair_asset_for_fill
 from gf_usd.prepare.fill.neighbors import would_fill
-from gf_usd.prepare.outputs import outputs
+from gf_usd.prepare.options.parse import parse_request
+from gf_usd.prepare.outputs.outputs import outputs
 from gf_usd.prepare.plan import Plan
 from gf_usd.prepare.prepare import (
     around,
     fill_found,
-    parse_request,
     poor_parts_of,
     read_stage,
     reading,

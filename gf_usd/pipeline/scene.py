@@ -28,7 +28,7 @@ from gf_usd.pipeline.prepared import solver_of
 from gf_usd.prepare.fill.fill import fill
 from gf_usd.prepare.materials.table import Authored
 from gf_usd.prepare.options.request import Request
-from gf_usd.prepare.outputs import outputs
+from gf_usd.prepare.outputs.outputs import outputs
 from gf_usd.prepare.plan import Plan
 from gf_usd.system.taichi_runtime import init_taichi, kernel_cache_notes
 

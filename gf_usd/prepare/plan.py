@@ -26,7 +26,7 @@ from gf_usd.core.materials.per_particle import summary
 from gf_usd.core.stage import Advice, BlendShapes, ContactSetup, Goals, Pin
 from gf_usd.prepare.bodies.plan import BodyPlan
 from gf_usd.prepare.options.table import arguments
-from gf_usd.prepare.outputs import Outputs, SplatSequence, Stamp, Stamps
+from gf_usd.prepare.outputs.outputs import Outputs, SplatSequence, Stamp, Stamps
 from gf_usd.prepare.settings import Extension
 
 if TYPE_CHECKING:

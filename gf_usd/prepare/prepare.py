@@ -13,44 +13,29 @@ from numpy.typing import NDArray
 
 from gf_usd.core import USD_SUFFIXES
 from gf_usd.core.asset import ASSUMED, Asset
-from gf_usd.core.errors import InputError, UsageError
-from gf_usd.core.materials.laws import check_law
+from gf_usd.core.errors import InputError
 from gf_usd.core.materials.material import Material
 from gf_usd.core.materials.per_particle import unbounded
-from gf_usd.core.materials.presets import Fixed, find_preset
 from gf_usd.core.mesh.subdivision import EDGE
 from gf_usd.core.stage import StageSpec
 from gf_usd.core.units import check_unit
 from gf_usd.prepare.advice import Auto
-from gf_usd.prepare.advice.advise import Draw, advise, parse_auto
+from gf_usd.prepare.advice.advise import Draw, advise
 from gf_usd.prepare.asset_size import implausible_size
 from gf_usd.prepare.bodies.contact import file_obstacles
 from gf_usd.prepare.fill.fill import fill
 from gf_usd.prepare.fill.inputs import Progress, silent
 from gf_usd.prepare.fill.neighbors import Around, neighbor_notes, with_neighbors
 from gf_usd.prepare.materials.table import Authored, variant_name
+from gf_usd.prepare.options.parse import DEFAULT_MATERIAL, material_names, parse_request
 from gf_usd.prepare.options.request import Request
-from gf_usd.prepare.options.sweep import Swept, swept
 from gf_usd.prepare.options.table import PLANNED
 from gf_usd.prepare.options.texts import AUTO
-from gf_usd.prepare.outputs import (
-    Outputs,
-    SplatSequence,
-    Stamp,
-    Stamps,
-    interrupted,
-    outputs,
-    require_free,
-    require_free_sequences,
-    require_no_input_of_bake,
-    require_source_free,
-    sequences,
-    stamp,
-    stamps,
-)
+from gf_usd.prepare.outputs.outputs import Outputs, require_no_input_of_bake
+from gf_usd.prepare.outputs.targets import files_read, targets_of, with_layer
 from gf_usd.prepare.plan import Plan, command_line
 from gf_usd.prepare.settings import DEFAULT_PARTICLES
-from gf_usd.readers.inputs import layer_files, require_packable
+from gf_usd.readers.inputs import require_packable
 from gf_usd.readers.isolated import Reading, Source
 from gf_usd.readers.usd_bake.spec import read_stage_spec
 from gf_usd.system.atomic_files import require_utf8
@@ -67,7 +52,6 @@ if TYPE_CHECKING:
 # Times the particles of a bake with --flesh, beyond which none are suggested for small parts, such
 # as eyes: flesh around bones moves as it should with fewer.
 MOST_FOR_PARTS = 4
-DEFAULT_MATERIAL = "rubber"  # where neither an option nor the stage gives one
 # Fills an asset that was read once more, with particles at another spacing [m].
 Refill = Callable[[float], Plan]
 
@@ -107,9 +91,14 @@ def prepare(
     source = Path(path)
     require_utf8(source)
     target = None if output is None else str(output)
-    again = {"overwrite": overwrite, "resume": resume}
+    divided = request.max_edge_length is not None  # the layer is that of this bake alone
+    folders = {name: request.folder(f"export_{name}") for name in ("ply", "spz")}
+    written = partial(
+        targets_of, source, target=target, flatten=request.flatten, divided=divided,
+        overwrite=overwrite, resume=resume, **folders,
+    )  # fmt: skip
     # existing results are found before the asset is read, where their names are known
-    targets = _targets(source, presets, target, request, **again) if presets else None
+    targets = written(presets=presets) if presets else None
     with reading(source, limits, request, presets, prims, meters_per_unit, up_axis) as read:
         # In parallel; a device that is not there is found out before the file is judged.
         init_taichi(request.device, request.threads)
@@ -117,11 +106,10 @@ def prepare(
             read.result(), source, request, presets, prims=prims, limits=limits, draw=draw
         )
     progress("")
-    targets = targets or _targets(source, found.presets, target, request, **again)
-    shared = request.max_edge_length is None  # else the layer is that of this bake alone
-    files, seen_source = _with_layer(targets, found.converted, shared=shared)
+    targets = targets or written(presets=found.presets)
+    files, seen_source = with_layer(targets, found.converted, shared=not divided)
     if any(file.exists() for file in files.all):
-        require_no_input_of_bake(files, _files_read(source, material, request))
+        require_no_input_of_bake(files, files_read(source, material, request.listed("colliders")))
     if files.is_package:
         require_packable(found.file, source)
     asset = found.asset
@@ -231,79 +219,6 @@ def _flowing_surfaces(plan: Plan, solid: Solid) -> NDArray[np.bool_]:
     of = plan.bodies.of_surface if plan.bodies else np.zeros(count, int)
     body = np.bincount(particles.body_of, stays, minlength=of.max() + 1)[of]
     return np.where(inside > 0, solids, body) == 0
-
-
-@dataclass(frozen=True, kw_only=True)
-class Targets:
-    """The output files of a bake, and those that exist."""
-
-    files: Outputs
-    sequences: tuple[tuple[SplatSequence, ...], ...]  # splat files of each variant
-    seen: Stamps
-    overwrite: bool  # what is there may be replaced
-
-
-def _targets(
-    source: Path,
-    presets: Sequence[Any],
-    target: str | None,
-    request: Request,
-    *,
-    overwrite: bool,
-    resume: bool,
-) -> Targets:
-    """The targets of a bake.  Raises UsageError where existing files prevent it."""
-    names = [preset.name for preset in presets]
-    sweep = presets[0].swept if isinstance(presets[0], Swept) else None
-    files = outputs(
-        source, names, target, request.flatten, sweep, divided=request.max_edge_length is not None
-    )
-    seen = stamps(files)
-    # what it wrote before it ended was free to be written
-    overwrite = overwrite or (resume and interrupted(files))
-    require_free(files, overwrite, resume=resume)
-    requested = sequences(
-        source.stem, names, ply=request.folder("export_ply"), spz=request.folder("export_spz")
-    )
-    require_free_sequences(requested, overwrite)
-    return Targets(files=files, sequences=requested, seen=seen, overwrite=overwrite)
-
-
-def _files_read(
-    source: Path, material: str | tuple[str | Material, ...] | None, request: Request
-) -> list[Path]:
-    """The files that a bake reads, with the layers of those of USD."""
-    from gf_usd.readers.usd_bake.material_file import is_material_file
-
-    named = material.split(",") if isinstance(material, str) else material or ()
-    given = [source, *map(Path, request.listed("colliders"))]
-    given += [Path(one) for one in named if isinstance(one, str) and is_material_file(one)]
-    usd = [path for path in given if path.suffix.lower() in USD_SUFFIXES]
-    return given + [file for path in usd for file in layer_files(path)]
-
-
-def _with_layer(
-    targets: Targets, converted: MeshSource | None, *, shared: bool
-) -> tuple[Outputs, Stamp]:
-    """The outputs with the pictures of a mesh file, and the existing source layer.
-
-    shared : by bakes of the mesh file.
-
-    Raises UsageError where existing files prevent writing it.
-    """
-    files = targets.files
-    if converted is None:
-        return files, None
-    if (layer := files.source) is not None:
-        files = replace(files, textures=converted.textures(layer))
-        seen = stamp(layer)
-        other = converted.other_file(layer) if shared else ""
-        require_source_free(files, converted.is_at(layer), targets.overwrite, other)
-        return files, seen
-    if not files.is_package:
-        files = replace(files, textures=converted.textures(files.root))
-        require_free(files, targets.overwrite)
-    return files, None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -444,68 +359,3 @@ def fill_found(
     if others:
         plan = replace(plan, notes=(*plan.notes, *neighbor_notes(found.asset, others)))
     return plan, solid
-
-
-def parse_request(
-    material: str | tuple[str | Material, ...] | None, law: str | None, options: dict[str, Any]
-) -> tuple[Request, list[Any]]:
-    """The request and the presets of a bake, checked before anything is read.
-
-    material : names separated by commas, or names and materials given by value.  No preset: the
-        materials of the stage, or rubber.
-    """
-    request = Request.of(options)
-    request.check()
-    if law is not None:
-        check_law(law)
-    from gf_usd.system import usd_schema  # noqa: F401  (registers itself before any stage opens)
-
-    if material is None and request.preset == "paper":
-        material = "rubber"
-    auto = parse_auto(material_names(material), request.preset)
-    if auto is not None and request.material_sweep:
-        raise UsageError(
-            "--material-sweep cannot be combined with --material auto", "name the material to vary"
-        )
-    if auto is not None:
-        return request, [auto]
-    named = material.split(",") if isinstance(material, str) and material else material
-    sweep = request.parsed["material_sweep"]
-    if sweep is not None:
-        named = named or (DEFAULT_MATERIAL,)
-    found = [_find(one, request) for one in named or ()]
-    if sweep is None:
-        return request, found
-    if len(found) > 1:
-        raise UsageError(
-            f"--material-sweep varies one material, and {len(found)} were given", "give one"
-        )
-    return request, swept(found[0], sweep)
-
-
-def material_names(material: str | tuple[str | Material, ...] | None) -> str | None:
-    """The names of materials, separated by commas, including those given by value."""
-    if material is None or isinstance(material, str):
-        return material
-    return ",".join(one if isinstance(one, str) else one.name for one in material)
-
-
-def _find(name: str | Material, request: Request) -> Any:
-    """A preset; materials of a file or given by value are wrapped as presets."""
-    if isinstance(name, Material):
-        return Fixed(
-            name,
-            (
-                f"the values of the material {name.name} were given by the"
-                " caller: the recorded command names it only",
-            ),
-        )
-    from gf_usd.readers.usd_bake.material_file import is_material_file, read_material
-
-    if is_material_file(name):
-        notes: list[str] = []
-        given = read_material(Path(name), notes.append)
-        return Fixed(given, tuple(notes))
-    preset = find_preset(name.strip())
-    # The paper has every solid corotated.
-    return replace(preset, law="corotated") if request.preset == "paper" else preset

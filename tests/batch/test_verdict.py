@@ -10,7 +10,7 @@ import pytest
 from batch_jobs import job
 
 from gf_usd.batch.verdict import attempt_outcome
-from gf_usd.prepare.outputs import RESUME
+from gf_usd.prepare.outputs.outputs import RESUME
 from gf_usd.system.processes import ProcessResult
 
 RESULT = {

@@ -28,7 +28,7 @@ from gf_usd.pipeline.cost.budget import (
 )
 from gf_usd.pipeline.cost.solvers import Solvers
 from gf_usd.pipeline.prepared import Prepared
-from gf_usd.prepare.outputs import outputs
+from gf_usd.prepare.outputs.outputs import outputs
 from gf_usd.prepare.plan import Plan, Variant
 
 

@@ -17,7 +17,7 @@ from gf_usd.pipeline.cost import budget
 from gf_usd.pipeline.cost.limbs import COMPACT, Limbs, hull_fill, limb_share, limbs_of
 from gf_usd.pipeline.prepared import limbs
 from gf_usd.prepare.bodies.convexity import SupportPoints
-from gf_usd.prepare.outputs import outputs
+from gf_usd.prepare.outputs.outputs import outputs
 from gf_usd.prepare.plan import Plan
 
 

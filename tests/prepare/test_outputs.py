@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from gf_usd.core.errors import UsageError
-from gf_usd.prepare.outputs import (
+from gf_usd.prepare.outputs.outputs import (
     Outputs,
     create_output_folder,
     outputs,

@@ -23,7 +23,7 @@ from gf_usd.core.frames.settings import Settings
 from gf_usd.core.materials.material import Material
 from gf_usd.pipeline.prepared import Prepared, prepare
 from gf_usd.pipeline.result import BakeResult, VariantResult
-from gf_usd.prepare.outputs import outputs
+from gf_usd.prepare.outputs.outputs import outputs
 from gf_usd.prepare.plan import Plan, command_line, describe, input_hash, settings_json
 
 PATH = "/World/Ball"

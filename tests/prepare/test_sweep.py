@@ -11,9 +11,9 @@ from PIL import Image
 import gf_usd
 from gf_usd.core.errors import UsageError
 from gf_usd.core.materials.presets import find_preset
+from gf_usd.prepare.options.parse import parse_request
 from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.options.sweep import MOST, PROPERTIES, parse_sweep, swept
-from gf_usd.prepare.prepare import parse_request
 
 
 def test_moduli_are_spaced_by_equal_ratios() -> None:

@@ -16,7 +16,7 @@ from gf_usd.core.frames.frame import BakedFrame, Pose
 from gf_usd.core.frames.particles import Particles
 from gf_usd.core.frames.settings import Settings
 from gf_usd.core.radiance import Y_0, linear_to_srgb
-from gf_usd.prepare.outputs import SplatSequence
+from gf_usd.prepare.outputs.outputs import SplatSequence
 
 if TYPE_CHECKING:
     from gf_usd.layers.space import Space

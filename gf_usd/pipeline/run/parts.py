@@ -17,7 +17,7 @@ from gf_usd.pipeline.health.log import HealthLog
 from gf_usd.pipeline.measures.observe import Observer
 from gf_usd.pipeline.measures.rest import Rest
 from gf_usd.pipeline.prepared import has_driven_motion
-from gf_usd.prepare.outputs import RESUME
+from gf_usd.prepare.outputs.outputs import RESUME
 from gf_usd.prepare.plan import Plan, Variant, input_hash
 
 if TYPE_CHECKING:

@@ -28,7 +28,7 @@ from gf_usd.pipeline.run.control import Control, Progress
 from gf_usd.pipeline.run.parts import folder, resume_hint
 from gf_usd.pipeline.run.variant import Outcome, run_variant
 from gf_usd.prepare.options.table import MAX_HOURS
-from gf_usd.prepare.outputs import create_output_folder
+from gf_usd.prepare.outputs.outputs import create_output_folder
 from gf_usd.prepare.plan import Plan, describe, input_hash
 from gf_usd.system.atomic_files import partial_path, publish_text
 from gf_usd.system.taichi_runtime import watching

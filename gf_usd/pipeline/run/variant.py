@@ -37,7 +37,7 @@ from gf_usd.pipeline.run.parts import (
     resource_guard,
     splat_deformer,
 )
-from gf_usd.prepare.outputs import clear
+from gf_usd.prepare.outputs.outputs import clear
 from gf_usd.prepare.plan import Plan, Variant
 from gf_usd.system.atomic_files import partial_path
 

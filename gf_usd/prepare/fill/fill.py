@@ -75,7 +75,7 @@ from gf_usd.prepare.materials.flowing import dispatch
 from gf_usd.prepare.options.choices import chosen, require_stored
 from gf_usd.prepare.options.implied import proposed_floor, with_flow, with_stage
 from gf_usd.prepare.options.request import Request
-from gf_usd.prepare.outputs import Outputs
+from gf_usd.prepare.outputs.outputs import Outputs
 from gf_usd.prepare.plan import Plan, embedded_points
 from gf_usd.prepare.settings import DEFAULT_PARTICLES, Animation
 from gf_usd.readers.notes import ANIMATED, POSED, merged

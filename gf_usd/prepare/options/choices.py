@@ -17,7 +17,7 @@ from gf_usd.core.frames.settings import Settings, written
 from gf_usd.core.units import Precision, bytes_text, length_text
 from gf_usd.prepare.bodies.flow import Flow
 from gf_usd.prepare.options.request import Request
-from gf_usd.prepare.outputs import Outputs
+from gf_usd.prepare.outputs.outputs import Outputs
 from gf_usd.prepare.plan import frame_bytes
 
 
