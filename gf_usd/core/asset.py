@@ -51,6 +51,7 @@ class SurfaceMaterial:
 
 FILE, ASSUMED, OPTION = "file", "assumed", "option"  # where a unit or an axis comes from
 BAKES = "gaussianFlesh"  # the variant set that root prims of a bake have
+COLLIDERS = "colliders"  # in its metadata: files of obstacles, as paths from the root layer
 
 
 @dataclass(frozen=True, kw_only=True)

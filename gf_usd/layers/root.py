@@ -27,9 +27,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from pxr import Pcp, Sdf, Usd
+from pxr import Pcp, Sdf, Usd, Vt
 
-from gf_usd.core.asset import Asset
+from gf_usd.core.asset import COLLIDERS, Asset
 from gf_usd.core.frames.choices import SOURCE_VARIANT, Choices
 from gf_usd.core.frames.settings import Settings
 from gf_usd.layers.retarget import repeat_edits, restore_rest
@@ -189,10 +189,17 @@ def _author_metadata(
             "command": bakes[0].info.command,
             "version": bakes[0].info.version,
             "inputHash": bakes[0].info.input_hash,
+            **_collider_metadata(bakes[0].info.colliders, Path(layer.realPath).parent),
             "looks": {bake.name: _bake_metadata(bake) for bake in bakes},
         },
     }
     return files
+
+
+def _collider_metadata(colliders: Sequence[Path], folder: Path) -> dict[str, object]:
+    """The obstacle files as paths from the folder of the layer; nothing where there are none."""
+    named = [asset_path(file, folder) for file in colliders]
+    return {COLLIDERS: Vt.StringArray(named)} if named else {}
 
 
 def _metadata_settings(settings: Settings) -> dict[str, object]:

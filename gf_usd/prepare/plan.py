@@ -92,6 +92,7 @@ class Plan:
     seen: Stamps = ()  # of the results and checkpoints that were there
     seen_source: Stamp = None  # of the layer of a mesh file
     command: str = ""  # that bakes the same again
+    collider_files: tuple[Path, ...] = ()  # of obstacles, which the result does not contain
     choices: Choices = field(default_factory=Choices)  # of the output
     extension: Extension | None = None  # of its length; None: nothing moves for longer
     advice: tuple[Advice, ...] = ()  # of --material auto, one a surface

@@ -136,7 +136,7 @@ def prepare(
     )  # fmt: skip
     odd = implausible_size(plan.asset)
     plan = replace(
-        plan, command=command,
+        plan, command=command, collider_files=tuple(map(Path, request.listed("colliders"))),
         notes=(
             *plan.notes, *_poorly_filled(plan, solid), *filter(None, (odd, plan.heavy)),
             *kernel_cache_notes(),

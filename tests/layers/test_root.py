@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from pxr import Sdf, Usd, UsdGeom, UsdValidation
 from small_sources import MOVING, PLAIN, SOURCES
-from small_stages import bake, frames_of, info_of, open_with, write
+from small_stages import ALL, bake, frames_of, info_of, open_with, write, write_cache
 
 from gf_usd.core.errors import InputError
 from gf_usd.layers.root import write_root
@@ -105,8 +105,20 @@ def test_the_layers_metadata_is_the_sources(tmp_path: Path) -> None:
     assert ours["command"] == "gf-usd bake duck.usda"
     assert ours["version"] == "0.1.0"
     assert ours["inputHash"] == info.input_hash
+    assert "colliders" not in ours
     assert ours["looks"]["rubber"]["health"] == {"minJ": 0.5}
     assert ours["looks"]["rubber"]["materials"]["0"]["youngs_modulus"] == 2e5
+
+
+def test_files_of_obstacles_are_named_from_the_folder_of_the_layer(tmp_path: Path) -> None:
+    asset = PLAIN.asset(tmp_path)
+    files = (tmp_path / "sets" / "wall.obj", tmp_path.parent / "floor.usda")
+    cache = tmp_path / "duck.rubber.cache.usdc"
+    info = replace(write_cache(cache, asset)[2], colliders=files)
+    baked = BakedVariant(name="rubber", cache=cache, info=info, health={})
+    root = write_root(tmp_path / "root.usda", asset, [baked], choices=ALL)
+    ours = Sdf.Layer.FindOrOpen(str(root.path)).customLayerData["gaussianFlesh"]
+    assert list(ours["colliders"]) == ["./sets/wall.obj", "../floor.usda"]
 
 
 def test_usd_finds_no_fault(name: str, tmp_path: Path) -> None:

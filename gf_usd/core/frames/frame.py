@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -184,3 +185,4 @@ class BakeInfo:
     command: str
     version: str
     input_hash: str  # sha256 of the source file
+    colliders: tuple[Path, ...] = ()  # files of obstacles, which the layers do not contain

@@ -18,7 +18,7 @@ from gf_usd.core.stage import Collider, ContactSetup, Skin, StagePhysics
 from gf_usd.core.units import length_text
 from gf_usd.prepare.bodies.convexity import cannot_touch_itself
 from gf_usd.prepare.bodies.plan import BodyPlan
-from gf_usd.readers.isolated import Reading
+from gf_usd.readers.usd_physics.obstacle_files import read_obstacle_file
 
 if TYPE_CHECKING:
     from gf_usd.geometry.solid import Solid
@@ -240,35 +240,26 @@ def file_obstacles(
     """The surfaces of other files as static obstacles, and notes on them.
 
     facts : of the asset, to whose up axis they are rotated.
-    Raises InputError as `read_asset`, and for a file of captured Gaussians only.
+    Raises InputError as `read_obstacle_file`.
     """
     made: list[Collider] = []
     notes: list[str] = []
-    for name in files:
-        path = Path(name)
-        with Reading(path, limits, elastic=False) as reading:
-            read = reading.result().asset
-        if not read.surfaces:
-            raise InputError(f"{path}: no mesh in it can be an obstacle", "give a file with meshes")
-        turn = np.eye(3) if read.facts.up_axis == facts.up_axis else TURNED[read.facts.up_axis]
+    for path in map(Path, files):
+        read = read_obstacle_file(path, facts.up_axis, limits)
         made += [
             Collider(
-                path=f"{path.name}:{s.path}", shape="mesh", points=np.asarray(s.points) @ turn.T,
+                path=f"{path.name}:{s.path}", shape="mesh", points=read.points(s),
                 triangles=s.triangles, linear=np.eye(3)[None], offset=np.zeros((1, 3)),
             )
             for s in read.surfaces
         ]  # fmt: skip
-        still = ", as at its first frame" if read.facts.animated else ""
-        turned = f", turned from {read.facts.up_axis} up" if turn[0, 0] != turn[1, 1] else ""
+        still = ", as at its first frame" if read.animated else ""
+        assumed = " and ".join(read.assumed)
+        if assumed:
+            assumed = f", with {assumed} assumed (a USD file states them)"
+        turned = f", turned from {read.turned_from} up" if read.turned_from else ""
         notes.append(
-            f"{path.name}: {len(read.surfaces)} obstacle{'s' * (len(read.surfaces) > 1)}{turned}"
-            f"{still}; the result does not contain the file"
+            f"{path.name}: {counted(len(read.surfaces), 'obstacle')}{assumed}{turned}{still}; the"
+            " result does not contain the file"
         )
     return tuple(made), tuple(notes)
-
-
-# From Y up to Z up and back, for column vectors.
-TURNED = {
-    "Y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
-    "Z": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]),
-}

@@ -25,6 +25,7 @@ from gf_usd.readers.pictures.extent import (
     is_visible,
 )
 from gf_usd.readers.pictures.floor import TILTED, baked_floor
+from gf_usd.readers.pictures.obstacles import add_obstacle_files
 from gf_usd.readers.pictures.prims import (
     placed_prims,
     read_float_or_half,
@@ -61,6 +62,7 @@ class BakedMotion:
     ----------
     path : the root layer of a bake, or any USD file with animated meshes or Gaussians.
     variant : None: the one that is selected in the file.
+    obstacle_files : also the meshes of files that were obstacles of the bake.
 
     Raises
     ------
@@ -68,7 +70,9 @@ class BakedMotion:
     UsageError : the file has no such variant.
     """
 
-    def __init__(self, path: Path, variant: str | None = None) -> None:
+    def __init__(
+        self, path: Path, variant: str | None = None, *, obstacle_files: bool = False
+    ) -> None:
         if not path.is_file():
             reason = "is a folder" if path.is_dir() else "does not exist"
             raise InputError(f"{path} {reason}", "give the root layer that gf-usd bake wrote")
@@ -79,6 +83,8 @@ class BakedMotion:
             self._facts = stage_facts(
                 self._stage, path, self._notes, meters_per_unit=None, up_axis=None
             )
+            if obstacle_files:
+                add_obstacle_files(self._stage, path, self._facts, self._notes)
             self.variants = variants_of(self._stage)
             self.variant = select_variant(self._stage, path, variant)
             self._find_prims()

@@ -42,6 +42,7 @@ from gf_usd.readers.pictures.floor import (
     plane_height,
 )
 from gf_usd.readers.pictures.framing import frame_motion
+from gf_usd.readers.pictures.obstacles import add_obstacle_files
 from gf_usd.readers.pictures.prims import (
     as_ellipsoids,
     baked_bodies,
@@ -130,6 +131,7 @@ class PictureStage:
             self._facts = stage_facts(
                 self._stage, path, self._stage_notes, meters_per_unit=None, up_axis=None
             )
+            add_obstacle_files(self._stage, path, self._facts, self._stage_notes)
             kinds_present = self._visible_kinds()
             self.show = show or next((kind for kind in KINDS if kind in kinds_present), "mesh")
             kinds, display = SHOWS[self.show]

@@ -134,7 +134,12 @@ def test_the_meshes_of_another_file_are_obstacles(plan, plate) -> None:
     assert not one.moves
     assert made.settings.floor is None
     assert noted(made, "there is 1 obstacle, so there is no floor; --floor 0 adds one")
-    assert noted(made, "plate.obj: 1 obstacle; the result does not contain the file")
+    assert noted(
+        made,
+        "plate.obj: 1 obstacle, with 1 m per unit and Y up assumed (a USD file states them); the"
+        " result does not contain the file",
+    )
+    assert made.collider_files == (plate,)
     with_floor = plan(mesh("One", at(0.0)), colliders=(str(plate),), floor="-3", drop="10")
     assert with_floor.settings.floor is not None
 
@@ -145,7 +150,7 @@ def test_obstacles_are_turned_to_the_up_axis_of_the_asset(plan, plate, tmp_path)
     made = plan(mesh("One"), colliders=(str(stage),))
     assert made.contact_setup is not None
     (one,) = made.contact_setup.colliders
-    assert noted(made, "turned from Z up")
+    assert noted(made, "upright.usda: 1 obstacle, turned from Z up; the result")
     # USD's Z is up there, Y here: (x, y, z) -> (x, z, -y)
     straight = plan(mesh("One"), colliders=(str(stage),), up_axis="Z").contact_setup.colliders[0]
     np.testing.assert_allclose(one.points[:, 1], straight.points[:, 2], atol=1e-12)
