@@ -156,6 +156,7 @@ class Motion:
     time_codes: tuple[float, ...]  # every time with a sample, in order; empty: a still
     frames_per_second: float  # playback
     time_codes_per_second: float
+    shown_until: float | None = None  # time code after which nothing that moves is in pictures
 
 
 FAINT = 0.1  # opacity below which a Gaussian may be omitted

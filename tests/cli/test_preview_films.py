@@ -207,3 +207,41 @@ def test_spans_and_ranges_are_read():
     known = (1.0, 2.0, 10.0)
     assert time_codes(parse_span("3:"), known, 2.0, stage) == [3.0, 5.0, 7.0, 9.0]
     assert len(time_codes(None, known, 0.1, stage)) == 91
+
+
+# a red cube of 2 that leaves the top of a gray one at once and falls to -60
+FALLING = """#usda 1.0
+(
+    metersPerUnit = 1
+    upAxis = "Y"
+)
+def Cube "Stand" {
+    double size = 4
+    double3 xformOp:translate = (0, -2, 0)
+    uniform token[] xformOpOrder = ["xformOp:translate"]
+}
+def Cube "Ball" {
+    double size = 2
+    color3f[] primvars:displayColor = [(0.8, 0.02, 0.02)]
+    double3 xformOp:translate.timeSamples = {
+        1: (0, 1, 0), 2: (2, 1, 0), 3: (3.2, -1, 0), 4: (3.2, -10, 0), 5: (3.2, -30, 0),
+        6: (3.2, -60, 0)
+    }
+    uniform token[] xformOpOrder = ["xformOp:translate"]
+}
+"""
+
+
+def test_the_tiles_of_a_sheet_end_where_all_that_moves_has_left_the_picture(tmp_path):
+    path = tmp_path / "falling.usda"
+    path.write_text(FALLING)
+    arguments = ("--sheet", "3", "--columns", "3", "--size", "120x90")
+    done = run(path, "-o", tmp_path / "a.png", *arguments)
+    assert done.exit_code == 0, done.output
+    page = pixels(tmp_path / "a.png")
+    tiles = [page[21:111, 2 + i * 122 :][:, :120] for i in range(3)]
+    assert all((tile[..., 0] > 2 * tile[..., 1]).sum() > 50 for tile in tiles)
+    # a range that is asked for is kept: the last of its tiles has no ball
+    run(path, "-o", tmp_path / "b.png", *arguments, "--time-codes", "1:6")
+    last = pixels(tmp_path / "b.png")[21:111, 2 + 2 * 122 :][:, :120]
+    assert (last[..., 0] > 2 * last[..., 1]).sum() == 0

@@ -67,6 +67,11 @@ class Drawing:
         pixels = render(replace(scene, lights=self._lights), camera, self._size)
         return self._legend.overlay(pixels) if self._legend and legend else pixels
 
+    @property
+    def shown_until(self) -> float | None:
+        """See `Motion`."""
+        return self._source.motion.shown_until
+
     def speeds(self, codes: Sequence[float]) -> Floats | None:
         """See `PictureStage.speeds`."""
         return self._source.speeds(codes)
@@ -157,8 +162,12 @@ def _quantity(source: PictureStage, limits: tuple[float, float] | None) -> Quant
 def write_sheet(draw: Drawing, codes: Sequence[float], options: Options) -> Pixels:
     """A page of `options.sheet` frames of the time codes, each labeled.
 
-    They are spread evenly over requested codes, else by the amount of motion between them.
+    They are spread evenly over requested codes, else by the amount of motion between them, until
+    all that moves has fallen out of the picture.
     """
+    end = draw.shown_until
+    if options.span is None and end is not None:
+        codes = [code for code in codes if code <= end]
     speeds = draw.speeds(codes) if options.span is None else None
     chosen = [codes[i] for i in choose_frames(len(codes), options.sheet or 1, speeds)]
     tiles = [

@@ -10,6 +10,7 @@ each point.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,18 +29,27 @@ MAX_FALLEN_SHARE = 0.5  # of points and times of a prim: above it the fall is it
 MIN_DESCENT = 0.01  # of a falling body in the last step, as a fraction of its size
 
 
+@dataclass(frozen=True)
+class Framing:
+    """What images of a motion contain."""
+
+    bounds: Bounds  # [m]
+    fallen: tuple[str, ...] = ()  # paths of prims that fall out of it
+    last: int | None = None  # time after which nothing that moves is in it; None: something is
+
+
 def frame_motion(
     prims: Sequence[Usd.Prim], boxes: MotionBoxes, whole: Bounds, up: Floats
-) -> tuple[Bounds, tuple[str, ...]]:
-    """The box [m] that an image must contain, and the paths of prims that fall out of it.
+) -> Framing:
+    """The framing of prims, whose boxes over the motion have the bounding box `whole`; up : unit.
 
-    boxes : of the prims over the motion.   whole : their bounding box.   up : unit.
+    `last` is the last time with such a prim, as an index of the times of `boxes`.
     """
     height = _Height(up)
     static = boxes.static_prims()
     near = near_boxes(boxes, static)
     if not near:
-        return whole, ()
+        return Framing(whole)
     floor = min(height.bottom(box) for box in near)
     kept = [dict(boxes_now) for boxes_now in boxes.by_time]
     fallen = []
@@ -59,15 +69,20 @@ def frame_motion(
             else:
                 kept[i][index] = box
     if not any(index not in static for boxes_now in kept for index in boxes_now):
-        return whole, ()
+        return Framing(whole)
     box = motion_box(kept, static)
     assert box is not None
     box_shown = height.lowered(box, FALL_MARGIN * float(np.ptp(box, axis=0).max()))
     box_shown = np.clip(box_shown, whole.low, whole.high)
     if whole.diagonal <= MIN_RATIO * float(np.linalg.norm(box_shown[1] - box_shown[0])):
-        return whole, ()
+        return Framing(whole)
     low, high = box_shown.tolist()
-    return Bounds(low=tuple(low), high=tuple(high)), tuple(fallen)
+    last = max(i for i, now in enumerate(kept) if any(index not in static for index in now))
+    return Framing(
+        Bounds(low=tuple(low), high=tuple(high)),
+        tuple(fallen),
+        last if last + 1 < len(kept) else None,
+    )
 
 
 class _Height:

@@ -11,7 +11,7 @@ from pxr import Usd
 
 from gf_usd.core.scene import Bounds
 from gf_usd.readers.pictures.extent import STATIC_MARGIN, motion_boxes
-from gf_usd.readers.pictures.framing import FALL_MARGIN, frame_motion
+from gf_usd.readers.pictures.framing import FALL_MARGIN, Framing, frame_motion
 from gf_usd.readers.pictures.scene import PictureStage
 
 Y = np.array([0.0, 1.0, 0.0])
@@ -92,18 +92,18 @@ def Points "Drips" {{
 """
 
 
-def fit(write: Callable[..., Path], body: str) -> tuple[Bounds, Bounds, tuple[str, ...]]:
-    """The box of all, the one to fit to, and what falls out of it."""
+def fit(write: Callable[..., Path], body: str) -> tuple[Bounds, Framing]:
+    """The box of all, and the framing."""
     stage = Usd.Stage.Open(str(write(body)))
     prims = [prim for prim in stage.GetPseudoRoot().GetChildren() if prim.GetName() != "Camera"]
     boxes = motion_boxes(prims, CODES, 1.0)
     assert boxes.bounds is not None
-    return boxes.bounds, *frame_motion(prims, boxes, boxes.bounds, Y)
+    return boxes.bounds, frame_motion(prims, boxes, boxes.bounds, Y)
 
 
 def test_what_falls_to_the_end_leaves_the_picture(write: Callable[..., Path]) -> None:
-    whole, shown, fell = fit(write, TABLE + ball(FALLS))
-    assert fell == ("/Ball",)
+    whole, framing = fit(write, TABLE + ball(FALLS))
+    assert framing.fallen == ("/Ball",)
     assert whole.low[1] == -16.0
     # the ball of the first two frames, and of the table what is near that
     reach = STATIC_MARGIN * np.linalg.norm((3.0, 2.0, 2.0))
@@ -112,8 +112,9 @@ def test_what_falls_to_the_end_leaves_the_picture(write: Callable[..., Path]) ->
         np.array([2.0 + reach, 2.0, 1 + reach]),
     )
     low[1] -= FALL_MARGIN * (high - low).max()
-    np.testing.assert_allclose(shown.low, low)
-    np.testing.assert_allclose(shown.high, high)
+    np.testing.assert_allclose(framing.bounds.low, low)
+    np.testing.assert_allclose(framing.bounds.high, high)
+    assert framing.last == 1
 
 
 @pytest.mark.parametrize(
@@ -122,9 +123,8 @@ def test_what_falls_to_the_end_leaves_the_picture(write: Callable[..., Path]) ->
     ids=["it lands", "nothing stays", "most of it falls", "on the table"],
 )
 def test_all_of_any_other_motion_is_shown(write: Callable[..., Path], body: str) -> None:
-    whole, shown, fell = fit(write, body)
-    assert shown == whole
-    assert fell == ()
+    whole, framing = fit(write, body)
+    assert framing == Framing(whole)
 
 
 @pytest.mark.parametrize(
@@ -137,18 +137,18 @@ def test_all_of_any_other_motion_is_shown(write: Callable[..., Path], body: str)
     ids=["pendants", "one bumps its top", "drips"],
 )
 def test_what_hangs_from_a_ceiling_has_not_fallen(write: Callable[..., Path], body: str) -> None:
-    whole, shown, fell = fit(write, CEILING + body)
-    assert shown == whole
-    assert fell == ()
+    whole, framing = fit(write, CEILING + body)
+    assert framing == Framing(whole)
 
 
 def test_of_drops_those_that_fall_do_not_count(write: Callable[..., Path]) -> None:
-    whole, shown, fell = fit(write, TABLE + drops(2))
-    assert fell == ("/Drops",)
+    whole, framing = fit(write, TABLE + drops(2))
+    assert framing.fallen == ("/Drops",)
+    assert framing.last is None  # eight stay
     assert whole.low[1] == -15.0
     # on the table, of which a part is near, and a tenth of its width below
-    assert -1.0 - FALL_MARGIN * 11.0 < shown.low[1] < 0.0
-    assert shown.high[1] == 1.0
+    assert -1.0 - FALL_MARGIN * 11.0 < framing.bounds.low[1] < 0.0
+    assert framing.bounds.high[1] == 1.0
 
 
 def test_a_picture_says_what_falls_out_of_it(write: Callable[..., Path]) -> None:
@@ -162,3 +162,4 @@ def test_a_picture_says_what_falls_out_of_it(write: Callable[..., Path]) -> None
     assert motion_box.motion.bounds is not None
     assert motion_box.motion.bounds.low[1] > -3.0
     assert motion_box.motion.ground == seen.motion.ground
+    assert (motion_box.motion.shown_until, seen.motion.shown_until) == (2.0, None)
