@@ -89,12 +89,12 @@ def write(path: Path, target: Path, variant: str | None, vertices: int, frames: 
     from gf_usd.view.report.report import Limits, build_report
 
     require_target(target, (path, report_path(path)))
-    first = BakedMotion(path, variant, obstacle_files=True)
+    first = BakedMotion(path, variant, displayed=True)
     # the variant that is selected in the file comes first
     names = [first.variant]
     if variant is None:
         names += [name for name in first.variants if name != first.variant]
-    others = (BakedMotion(path, name, obstacle_files=True) for name in names[1:])
+    others = (BakedMotion(path, name, displayed=True) for name in names[1:])
     sources = [first, *others]
     page = build_report(sources, *load_report(path), Limits(frames=frames, vertices=vertices))
     publish_text(target, page)

@@ -215,6 +215,8 @@ class Recording:
     gaussians: GaussianSet | None = None
     about: Mapping[str, Any] = field(default_factory=dict)  # what the bake left in the root layer
     notes: tuple[str, ...] = ()  # assumptions and omissions
+    framed: Bounds | None = None  # what its pictures contain; None: the whole motion
+    shown_until: float | None = None  # as in `Motion`
 
     def seconds(self, time_code: float) -> float:
         """Playback time [s] of a time code, from the first frame."""

@@ -35,16 +35,13 @@ class Framing:
 
     bounds: Bounds  # [m]
     fallen: tuple[str, ...] = ()  # paths of prims that fall out of it
-    last: int | None = None  # time after which nothing that moves is in it; None: something is
+    until: float | None = None  # last time code at which it has anything that moves; None: always
 
 
 def frame_motion(
     prims: Sequence[Usd.Prim], boxes: MotionBoxes, whole: Bounds, up: Floats
 ) -> Framing:
-    """The framing of prims, whose boxes over the motion have the bounding box `whole`; up : unit.
-
-    `last` is the last time with such a prim, as an index of the times of `boxes`.
-    """
+    """The framing of prims, whose boxes over the motion have the box `whole` [m]; up : unit."""
     height = _Height(up)
     static = boxes.static_prims()
     near = near_boxes(boxes, static)
@@ -77,11 +74,13 @@ def frame_motion(
     if whole.diagonal <= MIN_RATIO * float(np.linalg.norm(box_shown[1] - box_shown[0])):
         return Framing(whole)
     low, high = box_shown.tolist()
-    last = max(i for i, now in enumerate(kept) if any(index not in static for index in now))
+    shown = [any(index not in static for index in now) for now in kept]
+    codes = [(code, seen) for code, seen in zip(boxes.codes, shown) if code is not None]
+    last = max((code for code, seen in codes if seen), default=None)
     return Framing(
         Bounds(low=tuple(low), high=tuple(high)),
         tuple(fallen),
-        last if last + 1 < len(kept) else None,
+        None if last is None or last == max(codes)[0] else last,
     )
 
 

@@ -23,8 +23,10 @@ from gf_usd.readers.pictures.extent import (
     has_animated_visibility,
     is_ever_visible,
     is_visible,
+    motion_boxes,
 )
 from gf_usd.readers.pictures.floor import TILTED, baked_floor
+from gf_usd.readers.pictures.framing import Framing, frame_motion
 from gf_usd.readers.pictures.obstacles import add_obstacle_files
 from gf_usd.readers.pictures.prims import (
     placed_prims,
@@ -62,7 +64,8 @@ class BakedMotion:
     ----------
     path : the root layer of a bake, or any USD file with animated meshes or Gaussians.
     variant : None: the one that is selected in the file.
-    obstacle_files : also the meshes of files that were obstacles of the bake.
+    displayed : for pictures and pages: also with the meshes of files that were obstacles of the
+        bake, and framed as pictures are.
 
     Raises
     ------
@@ -70,9 +73,7 @@ class BakedMotion:
     UsageError : the file has no such variant.
     """
 
-    def __init__(
-        self, path: Path, variant: str | None = None, *, obstacle_files: bool = False
-    ) -> None:
+    def __init__(self, path: Path, variant: str | None = None, *, displayed: bool = False) -> None:
         if not path.is_file():
             reason = "is a folder" if path.is_dir() else "does not exist"
             raise InputError(f"{path} {reason}", "give the root layer that gf-usd bake wrote")
@@ -83,7 +84,8 @@ class BakedMotion:
             self._facts = stage_facts(
                 self._stage, path, self._notes, meters_per_unit=None, up_axis=None
             )
-            if obstacle_files:
+            self._displayed = displayed
+            if displayed:
                 add_obstacle_files(self._stage, path, self._facts, self._notes)
             self.variants = variants_of(self._stage)
             self.variant = select_variant(self._stage, path, variant)
@@ -103,6 +105,7 @@ class BakedMotion:
         """The data of the variant that is constant in time."""
         default = self._stage.GetDefaultPrim()
         up, ground = self._facts.up, self._ground()
+        framing = self._framing() if self._displayed else None
         return Recording(
             path=self._path,
             name=default.GetName() if default else self._path.stem,
@@ -120,7 +123,15 @@ class BakedMotion:
             gaussians=self._gaussians,
             about=self.about,
             notes=self._notes.lines(without=FOR_BAKES),
+            framed=framing and framing.bounds,
+            shown_until=framing and framing.until,
         )
+
+    def _framing(self) -> Framing | None:
+        """See `framing`; None where nothing is visible."""
+        shown = [*self._meshes, *self._flows] or [self._gaussian_prim]
+        boxes = motion_boxes(shown, self._times, self._facts.units.length)
+        return boxes.bounds and frame_motion(shown, boxes, boxes.bounds, self._facts.up)
 
     def frames(
         self, time_codes: Sequence[float] | None = None, *, whole: bool = False

@@ -176,10 +176,10 @@ class PictureStage:
                 )
                 start = [*islice(visible_times, 1)]
                 first = motion_bounds(prims, start, self._facts.units.length)
-            up, bounds, last = self._facts.up, full_bounds, None
+            up, bounds, until = self._facts.up, full_bounds, None
             if full_bounds is not None and self._camera is None:
                 framing = frame_motion(prims, boxes, full_bounds, up)
-                bounds, last = framing.bounds, framing.last
+                bounds, until = framing.bounds, framing.until
                 for path in framing.fallen:
                     self._stage_notes.add(FALLEN, path)
             self._motion = Motion(
@@ -190,7 +190,7 @@ class PictureStage:
                 up=(float(up[0]), float(up[1]), float(up[2])),
                 ground=self._floor_height(boxes, full_bounds, first),
                 time_codes=tuple(times),
-                shown_until=None if last is None else times[last],
+                shown_until=until,
                 frames_per_second=float(self._stage.GetFramesPerSecond()),
                 time_codes_per_second=float(self._stage.GetTimeCodesPerSecond()),
             )

@@ -24,10 +24,11 @@ FLYING = 0.05  # smallest gap to the floor in flight, likewise
 
 
 def choose_key_frames(motion: Motion, most: int = PICTURES) -> list[tuple[int, str]]:
-    """Up to `most` key frames (index, label) in order."""
-    last = len(motion.time_codes) - 1
+    """Up to `most` key frames (index, label) in order, until all that moves has left pictures."""
+    end = motion.recording.shown_until
+    last = sum(end is None or code <= end for code in motion.time_codes) - 1
     labels = {0: "start", **_find_bounce(motion)}
-    labels.setdefault(last, "end")
+    labels.setdefault(last, "end" if last + 1 == len(motion.time_codes) else "")
     while len(labels) < min(most, last + 1):
         # the middle of the longest interval without a picture
         frames = sorted(labels)
@@ -75,7 +76,7 @@ def render_pictures(
 
 
 def camera_for(motion: Motion) -> Camera:
-    """A camera that frames the whole motion."""
+    """A camera for pictures of any frame."""
     low, high = bounds(motion)
     corners = [[(low, high)[b][i] for i, b in enumerate(bits)] for bits in np.ndindex(2, 2, 2)]
     up = motion.recording.up
@@ -83,7 +84,11 @@ def camera_for(motion: Motion) -> Camera:
 
 
 def bounds(motion: Motion) -> tuple[Sequence[float], Sequence[float]]:
-    """Low and high corner [m] of the bounding box over all frames."""
+    """Low and high corner [m] of what pictures contain: the box of all frames, unless the recording
+    has another.
+    """
+    if (framed := motion.recording.framed) is not None:
+        return framed.low, framed.high
     points = np.concatenate([motion.points.reshape(-1, 3), motion.positions.reshape(-1, 3)])
     if motion.flow is not None:
         points = np.concatenate([points, motion.flow.points])

@@ -12,6 +12,7 @@ from pxr import Usd
 from gf_usd.core.scene import Bounds
 from gf_usd.readers.pictures.extent import STATIC_MARGIN, motion_boxes
 from gf_usd.readers.pictures.framing import FALL_MARGIN, Framing, frame_motion
+from gf_usd.readers.pictures.recording import BakedMotion
 from gf_usd.readers.pictures.scene import PictureStage
 
 Y = np.array([0.0, 1.0, 0.0])
@@ -114,7 +115,7 @@ def test_what_falls_to_the_end_leaves_the_picture(write: Callable[..., Path]) ->
     low[1] -= FALL_MARGIN * (high - low).max()
     np.testing.assert_allclose(framing.bounds.low, low)
     np.testing.assert_allclose(framing.bounds.high, high)
-    assert framing.last == 1
+    assert framing.until == 2.0
 
 
 @pytest.mark.parametrize(
@@ -144,7 +145,7 @@ def test_what_hangs_from_a_ceiling_has_not_fallen(write: Callable[..., Path], bo
 def test_of_drops_those_that_fall_do_not_count(write: Callable[..., Path]) -> None:
     whole, framing = fit(write, TABLE + drops(2))
     assert framing.fallen == ("/Drops",)
-    assert framing.last is None  # eight stay
+    assert framing.until is None  # eight stay
     assert whole.low[1] == -15.0
     # on the table, of which a part is near, and a tenth of its width below
     assert -1.0 - FALL_MARGIN * 11.0 < framing.bounds.low[1] < 0.0
@@ -163,3 +164,9 @@ def test_a_picture_says_what_falls_out_of_it(write: Callable[..., Path]) -> None
     assert motion_box.motion.bounds.low[1] > -3.0
     assert motion_box.motion.ground == seen.motion.ground
     assert (motion_box.motion.shown_until, seen.motion.shown_until) == (2.0, None)
+    recording = BakedMotion(path, displayed=True).recording()
+    assert recording.framed is not None
+    np.testing.assert_allclose(recording.framed.low, motion_box.motion.bounds.low)
+    assert recording.shown_until == 2.0
+    plain = BakedMotion(path).recording()
+    assert (plain.framed, plain.shown_until) == (None, None)

@@ -75,7 +75,7 @@ def test_pictures_leave_the_file_of_the_bake_as_it_is(bake: Path) -> None:
 def test_recordings_have_them_only_where_they_are_asked_for(bake: Path) -> None:
     names = [mesh.name for mesh in BakedMotion(bake).recording().meshes]
     assert names == ["/ObstacleFiles/box"]
-    with_files = BakedMotion(bake, obstacle_files=True).recording()
+    with_files = BakedMotion(bake, displayed=True).recording()
     assert [mesh.name for mesh in with_files.meshes] == [*names, "/ObstacleFiles_1/plate_Plate"]
 
 

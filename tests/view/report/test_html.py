@@ -10,10 +10,10 @@ from dataclasses import replace
 import pytest
 from recordings import FRAMES, FallingBox, report_of
 
-from gf_usd.core.scene import MotionFrame, Recording
+from gf_usd.core.scene import Bounds, MotionFrame, Recording
 from gf_usd.view.report.curves import ENERGIES, plots, unit_for
 from gf_usd.view.report.html import Html, data_script, join, policy, tag
-from gf_usd.view.report.moments import choose_key_frames
+from gf_usd.view.report.moments import bounds, choose_key_frames
 from gf_usd.view.report.motion import collect
 from gf_usd.view.report.record import make_record
 from gf_usd.view.report.report import Limits, build_report
@@ -156,6 +156,20 @@ def test_pictures_are_taken_where_something_happens():
     assert [frame for frame, _ in choose_key_frames(motion, 5)] == [0, 2, 3, 5, 6]
     # more pictures than frames are not to be had
     assert [frame for frame, _ in choose_key_frames(motion, 50)] == list(range(FRAMES))
+
+
+def test_pictures_contain_what_the_recording_says_and_end_where_all_has_left_it():
+    source = FallingBox()
+    box = Bounds(low=(0.0, 0.5, 0.0), high=(1.0, 2.0, 1.0))
+    codes = source.recording().time_codes
+    recording = replace(source.recording(), framed=box, shown_until=codes[3])
+    motion = collect(recording, source.frames(codes), 100, 100)
+    assert bounds(motion) == (box.low, box.high)
+    found = choose_key_frames(motion, 3)
+    assert (found[0], found[-1]) == ((0, "start"), (3, "squashed"))
+    # the last of these is not the end of the motion
+    away = replace(motion, recording=replace(recording, shown_until=codes[4], ground=None))
+    assert choose_key_frames(away, 2) == [(0, "start"), (4, "")]
 
 
 def test_energies_of_large_bodies_have_a_prefix():
