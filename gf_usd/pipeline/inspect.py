@@ -63,13 +63,7 @@ from gf_usd.prepare.fill.neighbors import would_fill
 from gf_usd.prepare.options.parse import parse_request
 from gf_usd.prepare.outputs.outputs import outputs
 from gf_usd.prepare.plan import Plan
-from gf_usd.prepare.prepare import (
-    around,
-    fill_found,
-    poor_parts_of,
-    read_stage,
-    reading,
-)
+from gf_usd.prepare.prepare import AssetFile, fill_found, poor_parts_of
 from gf_usd.readers.usd.stage import layers_kept
 from gf_usd.system.sandbox import Limits
 from gf_usd.system.taichi_runtime import watching
@@ -297,15 +291,17 @@ def inspect(
     request, presets = parse_request(material, law, options)
     source, stages = Path(path), Stages(watch)
     stages.begin(READING, source.name)
-    with reading(source, limits, request, presets, prims, meters_per_unit, up_axis) as read:
-        found = read_stage(
-            read.result(), source, request, presets, prims=prims, limits=limits, draw=draw
-        )
+    given = AssetFile(
+        path=source, limits=limits, request=request, presets=presets, prims=prims,
+        meters_per_unit=meters_per_unit, up_axis=up_axis,
+    )  # fmt: skip
+    with given.reading() as read:
+        found = given.asset(read.result(), draw)
     asset, spec = found.asset, found.spec
     stages.begin(INSPECTING, "(meshes)")
     seen = examine(asset)
     files = outputs(source, [preset.name for preset in found.presets], None)
-    others = around(found, source, limits, request, presets, prims, meters_per_unit, up_axis)
+    others = given.around(found)
     try:
         plan, solid = fill_found(
             found, request, law, files, others, repair=repair, known=seen.diagnoses,

@@ -99,12 +99,14 @@ def prepare(
     )  # fmt: skip
     # existing results are found before the asset is read, where their names are known
     targets = written(presets=presets) if presets else None
-    with reading(source, limits, request, presets, prims, meters_per_unit, up_axis) as read:
+    given = AssetFile(
+        path=source, limits=limits, request=request, presets=presets, prims=prims,
+        meters_per_unit=meters_per_unit, up_axis=up_axis,
+    )  # fmt: skip
+    with given.reading() as read:
         # In parallel; a device that is not there is found out before the file is judged.
         init_taichi(request.device, request.threads)
-        found = read_stage(
-            read.result(), source, request, presets, prims=prims, limits=limits, draw=draw
-        )
+        found = given.asset(read.result(), draw)
     progress("")
     targets = targets or written(presets=found.presets)
     files, seen_source = with_layer(targets, found.converted, shared=not divided)
@@ -113,8 +115,9 @@ def prepare(
     if files.is_package:
         require_packable(found.file, source)
     asset = found.asset
-    others = around(found, source, limits, request, presets, prims, meters_per_unit, up_axis)
-    plan, solid = fill_found(found, request, law, files, others, repair=repair, progress=progress)
+    plan, solid = fill_found(
+        found, request, law, files, given.around(found), repair=repair, progress=progress
+    )
     if request.flesh:
         _require_named(plan, prims)
     if once_filled:
@@ -232,41 +235,86 @@ class SourceAsset:
     converted: MeshSource | None  # of an asset that is not USD, or whose faces were divided
 
 
-def read_stage(
-    read: Source,
-    source: Path,
-    request: Request,
-    presets: Sequence[Any],
-    *,
-    prims: Sequence[str],
-    limits: Limits | None,
-    draw: Draw,
-) -> SourceAsset:
-    """The asset, its stage's specification, and the presets of the bake.
+@dataclass(frozen=True, kw_only=True)
+class AssetFile:
+    """The file of an asset, and how it is read for a bake."""
 
-    presets : of the options; none: the materials of the stage, or rubber.
-    Raises InputError for the result of a bake.
-    """
-    read.asset.facts.require_not_baked()
-    asset, spec, converted = _with_hulls(read.asset), read.spec, read.converted
-    usd = source.suffix.lower() in USD_SUFFIXES
-    file = source if converted is None else converted.layer
-    if spec is None:
-        spec = StageSpec()
-        if usd:
-            asset, spec = read_stage_spec(
-                asset, file, prims, rest=request.start, elastic=_elastic(presets)
-            )
-    if presets and isinstance(presets[0], Auto):
-        spec = advise(asset, source, spec, presets[0], usd=usd, rest=request.start, draw=draw)
-        presets = [Authored(presets[0].name)]
-    elif not presets:
-        named = variant_name(spec, asset.surfaces) if spec.says_material else DEFAULT_MATERIAL
-        presets = [Authored(named)]
-    of_files, notes = file_obstacles(request.listed("colliders"), asset.facts, limits)
-    physics = replace(spec.physics, of_files=of_files, notes=(*spec.physics.notes, *notes))
-    spec = replace(spec, physics=physics)
-    return SourceAsset(asset=asset, spec=spec, presets=presets, converted=converted, file=file)
+    path: Path
+    limits: Limits | None
+    request: Request
+    presets: Sequence[Any]  # of the options; none: the materials of the stage, or rubber
+    prims: Sequence[str]
+    meters_per_unit: float | None
+    up_axis: str | None
+
+    @property
+    def is_usd(self) -> bool:
+        return self.path.suffix.lower() in USD_SUFFIXES
+
+    @property
+    def elastic(self) -> bool:
+        """Whether the material specifications of the stage are used."""
+        return not self.presets or isinstance(self.presets[0], Auto)
+
+    def reading(self) -> Reading:
+        """Start to read the file."""
+        request = self.request
+        longest, count = request.parsed["max_edge_length"], None
+        if longest == AUTO:
+            longest = EDGE * request.spacing if request.spacing else None
+            count = None if longest else request.particles or DEFAULT_PARTICLES
+        return Reading(
+            self.path, self.limits, prims=tuple(self.prims),
+            meters_per_unit=self.meters_per_unit, up_axis=self.up_axis,
+            time_code=request.start, elastic=self.elastic, bind_pose=request.flesh,
+            fps=request.fps, max_edge_length=longest, edges_for=count,
+        )  # fmt: skip
+
+    def asset(self, read: Source, draw: Draw) -> SourceAsset:
+        """The asset, its stage's specification, and the presets of the bake.
+
+        draw : makes the picture of the asset for an advisor.
+
+        Raises InputError for the result of a bake.
+        """
+        read.asset.facts.require_not_baked()
+        asset, spec, converted = _with_hulls(read.asset), read.spec, read.converted
+        rest, presets = self.request.start, self.presets
+        file = self.path if converted is None else converted.layer
+        if spec is None:
+            spec = StageSpec()
+            if self.is_usd:
+                asset, spec = read_stage_spec(
+                    asset, file, self.prims, rest=rest, elastic=self.elastic
+                )
+        if presets and isinstance(presets[0], Auto):
+            spec = advise(asset, self.path, spec, presets[0], usd=self.is_usd, rest=rest, draw=draw)
+            presets = [Authored(presets[0].name)]
+        elif not presets:
+            named = variant_name(spec, asset.surfaces) if spec.says_material else DEFAULT_MATERIAL
+            presets = [Authored(named)]
+        colliders = self.request.listed("colliders")
+        of_files, notes = file_obstacles(colliders, asset.facts, self.limits)
+        physics = replace(spec.physics, of_files=of_files, notes=(*spec.physics.notes, *notes))
+        spec = replace(spec, physics=physics)
+        return SourceAsset(asset=asset, spec=spec, presets=presets, converted=converted, file=file)
+
+    def around(self, found: SourceAsset) -> Around | None:
+        """What reads the meshes of a stage around those that were named; None: none were."""
+        if not self.prims or self.request.flesh:
+            return None
+        again = None
+        if not self.is_usd and self.request.max_edge_length is not None:
+            # its layer has divided faces
+            whole = replace(
+                self, request=replace(self.request, max_edge_length=None),
+                prims=[s.path for s in found.asset.surfaces],
+            )  # fmt: skip
+            again = whole.reading
+        return Around(
+            file=self.path if self.is_usd else found.file, usd=self.is_usd, again=again,
+            rest=self.request.start, elastic=self.elastic,
+        )  # fmt: skip
 
 
 def _with_hulls(asset: Asset) -> Asset:
@@ -276,56 +324,6 @@ def _with_hulls(asset: Asset) -> Asset:
     from gf_usd.geometry.splat_hull import with_hulls
 
     return with_hulls(asset)
-
-
-def _elastic(presets: Sequence[Any]) -> bool:
-    """Whether the material specifications of the stage are used."""
-    return not presets or isinstance(presets[0], Auto)
-
-
-def reading(
-    source: Path,
-    limits: Limits | None,
-    request: Request,
-    presets: Sequence[Any],
-    prims: Sequence[str],
-    meters_per_unit: float | None,
-    up_axis: str | None,
-) -> Reading:
-    """Start to read the file."""
-    longest, count = request.parsed["max_edge_length"], None
-    if longest == AUTO:
-        longest = EDGE * request.spacing if request.spacing else None
-        count = None if longest else request.particles or DEFAULT_PARTICLES
-    return Reading(
-        source, limits, prims=tuple(prims), meters_per_unit=meters_per_unit, up_axis=up_axis,
-        time_code=request.start, elastic=_elastic(presets), bind_pose=request.flesh,
-        fps=request.fps, max_edge_length=longest, edges_for=count,
-    )  # fmt: skip
-
-
-def around(
-    found: SourceAsset,
-    source: Path,
-    limits: Limits | None,
-    request: Request,
-    presets: Sequence[Any],
-    prims: Sequence[str],
-    meters_per_unit: float | None,
-    up_axis: str | None,
-) -> Around | None:
-    """What reads the meshes of a stage around those that were named; None: none were."""
-    if not prims or request.flesh:
-        return None
-    usd, again = source.suffix.lower() in USD_SUFFIXES, None
-    if not usd and request.max_edge_length is not None:  # its layer has divided faces
-        whole = replace(request, max_edge_length=None)
-        paths = [s.path for s in found.asset.surfaces]
-        again = partial(reading, source, limits, whole, presets, paths, meters_per_unit, up_axis)
-    return Around(
-        file=source if usd else found.file, usd=usd, again=again, rest=request.start,
-        elastic=_elastic(presets),
-    )  # fmt: skip
 
 
 def fill_found(
