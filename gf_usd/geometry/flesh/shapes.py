@@ -11,9 +11,12 @@ not feel the offset.
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 from numpy.typing import NDArray
 
+from gf_usd.core.frames.differences import velocity_at
 from gf_usd.core.frames.frame import Pose
 from gf_usd.core.stage import BlendShapes
 
@@ -21,11 +24,10 @@ from gf_usd.core.stage import BlendShapes
 def with_shapes(pose: Pose, shapes: BlendShapes, frame: int, frame_time: float) -> Pose:
     """The pose of a surface at a frame, with its blend shapes; frame_time : [s] of one frame.
 
-    The velocity of the offset D is a central difference, without the change of F.
+    The velocity of the offset D is that of `velocity_at`, without the change of F.
     """
     D = _offsets(shapes, frame)
-    time = frame_time * (2.0 if frame else 1.0)
-    rate = (_offsets(shapes, frame + 1) - _offsets(shapes, frame - 1)) / time
+    rate = velocity_at(partial(_offsets, shapes), frame, frame_time, len(shapes.weights) - 1)
     x, v = (np.einsum("nab,nb->na", pose.F, each) for each in (D, rate))
     return Pose(x=pose.x + x, v=pose.v + v, F=pose.F)
 

@@ -26,6 +26,7 @@ from scipy.sparse import csr_matrix, diags_array
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import Surface
+from gf_usd.core.frames.differences import velocity_at
 from gf_usd.core.frames.frame import Pose
 from gf_usd.core.neighbors import nearest
 from gf_usd.core.stage import Skeleton
@@ -61,13 +62,8 @@ class Skinning:
         return skinned_with_gradients(self.weights, self.linear[k], self.offset[k], self.X)
 
     def rate(self, frame: int, frame_time: float) -> NDArray[np.float64]:
-        """(n, 3) [m/s] by central differences of frames that are `frame_time` [s] apart, and by
-        one-sided ones at the first and the last.
-        """
-        before, after = max(frame - 1, 0), min(frame + 1, len(self.linear) - 1)
-        if after <= before:
-            return np.zeros_like(self.X)
-        return (self.at(after)[0] - self.at(before)[0]) / (frame_time * (after - before))
+        """(n, 3) [m/s] at a frame, see `velocity_at`; frame_time : [s] of one frame."""
+        return velocity_at(lambda k: self.at(k)[0], frame, frame_time, len(self.linear) - 1)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -57,6 +57,7 @@ from scipy import sparse
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import InputError
+from gf_usd.core.frames.differences import velocity_at
 from gf_usd.core.frames.frame import Pose
 from gf_usd.core.matrices import signed_polar
 from gf_usd.core.neighbors import kd_tree
@@ -403,12 +404,9 @@ class PinConstraint:
         part = held.at(mine)
         fixed = ~part.free
         x, F = self.pose(part, X[mine], index)
-        before = self.pose(part, X[mine], max(index - 1, 0))[0]
-        after = self.pose(part, X[mine], index + 1)[0]
+        last = np.array([len(motion.path) - 1 for motion in self.motions])[part.axes]
+        rate = velocity_at(lambda k: self.pose(part, X[mine], k)[0], index, frame_time, last)
         out_x, out_v, out_F = pose.x.copy(), pose.v.copy(), pose.F.copy()
-        last = np.array([len(motion.path) - 1 for motion in self.motions])
-        steps = np.maximum(np.minimum(index + 1, last) - max(index - 1, 0), 1)  # 0: it is at rest
-        rate = (after - before) / (frame_time * steps[part.axes])
         out_x[mine] = np.where(fixed, x + offset, out_x[mine])
         out_v[mine] = np.where(fixed, rate, out_v[mine])
         out_F[mine] = np.where(fixed[:, :, None], F, out_F[mine])

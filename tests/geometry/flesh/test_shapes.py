@@ -19,9 +19,9 @@ SHAPES = BlendShapes(
 )
 
 
-@pytest.mark.parametrize(("frame", "rate"), [(0, (0.5, 1.0)), (1, (0.5, 0.5)), (2, (0.25, 0.0))])
+@pytest.mark.parametrize(("frame", "rate"), [(0, (0.5, 1.0)), (1, (0.5, 0.5)), (2, (0.5, 0.0))])
 def test_the_offset_is_carried_by_the_flesh(frame: int, rate: tuple[float, float]) -> None:
-    """rate : change of the weights in a frame."""
+    """rate : change of the weights in a frame, one-sided at the ends."""
     pose = Pose(x=np.eye(3)[:2], v=np.full((2, 3), 7.0), F=np.stack([TURN, 2.0 * np.eye(3)]))
     out = with_shapes(pose, SHAPES, frame, 0.1)
     a, b = SHAPES.weights[frame]
