@@ -37,8 +37,8 @@ def fill_bodies(inputs: Inputs) -> FilledBodies:
     request, meshes, paper = inputs.request, inputs.meshes, inputs.paper
     asset, solid = inputs.asset, inputs.solid
     owners, notes = {}, ()
-    if request.flesh and inputs.file:
-        owners, notes = characters_of(asset, inputs.file)
+    if inputs.characters is not None:
+        owners, notes = characters_of(asset, inputs.characters)
     characters = bool(owners)
     combine = (
         request.combine or paper or request.solver == "ul" or (request.flesh and not characters)

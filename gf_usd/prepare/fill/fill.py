@@ -28,7 +28,7 @@ from gf_usd.prepare.bodies.contact import (
     separate_limbs,
 )
 from gf_usd.prepare.bodies.facing import turned_to_bodies
-from gf_usd.prepare.bodies.flesh.animation import read_animation
+from gf_usd.prepare.bodies.flesh.character_file import CharacterFile
 from gf_usd.prepare.bodies.flesh.characters import without_props, worn_meshes
 from gf_usd.prepare.bodies.flesh.poses import Poses
 from gf_usd.prepare.bodies.flow import flow_of
@@ -125,15 +125,15 @@ def fill(
         one_thing=partial(one_thing, asset, spec) if in_scene else None,
     )  # fmt: skip
     meshes = build(asset, built=built)
-    if request.flesh and file is not None:
+    source = CharacterFile(asset, file, request.start) if request.flesh and file else None
+    if source is not None:
         by_count = spacing_of(meshes.solid.volume, request.particles or DEFAULT_PARTICLES)
         spacing = request.spacing * unit if request.spacing else by_count
-        alone = without_props(asset, meshes.solid, file, spacing)
+        alone = without_props(asset, meshes.solid, source, spacing)
         if alone is not asset:
             asset = alone
             meshes = build(asset)
-        motion = partial(read_animation, asset, file, request.start)
-        worn = worn_meshes(asset, meshes.solid, file, spacing, motion, repaired=repair)
+        worn = worn_meshes(asset, meshes.solid, source, spacing, repaired=repair)
         if worn:
             meshes = build(asset, unfilled=worn)
     scenery: list[Surface] = []
@@ -150,7 +150,7 @@ def fill(
     request, stage_notes = with_stage(request, spec, asset)
     inputs = Inputs(
         meshes=meshes, request=request, spec=spec, presets=presets, law=law, file=file, flow=flow,
-        progress=progress,
+        characters=source, progress=progress,
     )  # fmt: skip
     filled = fill_bodies(inputs)
     solid.release()

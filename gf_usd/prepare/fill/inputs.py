@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from gf_usd.core.asset import Asset
 from gf_usd.core.frames.settings import MIXED
 from gf_usd.core.stage import StageSpec
+from gf_usd.prepare.bodies.flesh.character_file import CharacterFile
 from gf_usd.prepare.fill.meshes import FilledMeshes, ResolutionOf, repair_for_fill
 from gf_usd.prepare.materials.flowing import Dispatch
 from gf_usd.prepare.options.request import Request
@@ -46,6 +47,7 @@ class Inputs:
     law: str | None
     file: Path | None
     flow: Dispatch
+    characters: CharacterFile | None = None  # of --flesh, where the asset has a file
     progress: Progress = silent
 
     @property

@@ -12,7 +12,6 @@ from gf_usd.core.asset import Asset, Surface
 from gf_usd.core.frames.settings import Settings, sampled
 from gf_usd.core.stage import Pin, StagePhysics, Triple
 from gf_usd.core.units import length_text, rounded_text
-from gf_usd.prepare.bodies.flesh.animation import read_animation
 from gf_usd.prepare.bodies.sampling import SampledBodies
 from gf_usd.prepare.fill.inputs import Inputs
 from gf_usd.prepare.options.choices import own_space_notes, require_resolved
@@ -61,9 +60,7 @@ def plan_shot(
     # a sheet that was thickened reaches below what is drawn
     surfaces = (*asset.surfaces, *inputs.solid.surfaces)
     lowest = min(float((s.face_points @ normal).min()) for s in surfaces)
-    animation = None
-    if request.flesh and inputs.file:
-        animation = read_animation(asset, inputs.file, request.start)
+    animation = inputs.characters.animation(asset) if inputs.characters else None
     unsupported = request.flesh or request.solver == "ul"
     attachments = () if unsupported else physics.attachments
     springs = () if unsupported else physics.soft_attachments

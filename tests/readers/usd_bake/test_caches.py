@@ -11,7 +11,7 @@ from small_bakes import BLOCK
 
 from gf_usd.core.errors import InputError
 from gf_usd.readers import read_asset
-from gf_usd.readers.usd.skeleton.bones import has_skeleton
+from gf_usd.readers.usd.skeleton.bones import skeletons
 from gf_usd.readers.usd_bake.caches import cache_range, read_cache
 
 SKIN = ["/Arm/Skin"]
@@ -27,8 +27,8 @@ def test_points_are_those_of_the_time_samples(tmp_path: Path) -> None:
     source = write(tmp_path, arm())
     path = written(tmp_path, cached(source))
     facts = read_asset(path).facts
-    assert has_skeleton(source, SKIN, facts)
-    assert not has_skeleton(path, SKIN, facts)
+    assert skeletons(source, SKIN, facts)
+    assert not skeletons(path, SKIN, facts)
     assert cache_range(path, SKIN, facts) == (FIRST, LAST)
     times = list(range(FIRST, LAST + 1))
     frames = read_cache(path, SKIN, facts, first=FIRST, times=times)

@@ -19,22 +19,18 @@ SAME_POSE = 1e-3  # of the skeleton: poses that differ by less are one
 JUMP = 2.0  # times the largest displacement in a frame: beyond it, not a cycle
 
 
-def read_animation(asset: Asset, file: Path, start: float | None) -> Animation:
-    """The animation of the skeletons that pose an asset; start : its first time code, as given.
+def read_animation(asset: Asset, file: Path, start: float | None, posed: bool) -> Animation:
+    """The animation of the skeletons that pose an asset.
+
+    start : its first time code, as given; posed : whether a skeleton poses any of its surfaces.
 
     Where no skeleton poses any of it, that of its points, or else of the only skeleton of the
     stage.  Raises InputError where there is none, and for a broken skeleton.
     """
-    from gf_usd.readers.usd.skeleton.bones import (
-        animation_range,
-        has_skeleton,
-        lone_skeleton,
-        read_skeleton,
-    )
+    from gf_usd.readers.usd.skeleton.bones import animation_range, lone_skeleton, read_skeleton
     from gf_usd.readers.usd_bake.caches import cache_range, has_animated_points, read_cache
 
-    paths = [s.path for s in asset.surfaces]
-    posed, nearest = has_skeleton(file, paths, asset.facts), ""
+    paths, nearest = [s.path for s in asset.surfaces], ""
     if not (posed or has_animated_points(file, paths, asset.facts)):
         nearest = lone_skeleton(file)
     cached = not (posed or nearest)

@@ -6,9 +6,8 @@ body would join them there.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from itertools import combinations, product
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,8 +21,8 @@ from gf_usd.prepare.bodies.grounds import grounds, scenery_of
 
 if TYPE_CHECKING:
     from gf_usd.geometry.solid import Solid
+    from gf_usd.prepare.bodies.flesh.character_file import CharacterFile
     from gf_usd.prepare.bodies.plan import BodyPlan
-    from gf_usd.prepare.settings import Animation
 
 # Why a mesh is not part of a character, after what does not move it.
 PROP = "it touches no mesh of a character, so that nothing would support it"
@@ -35,7 +34,7 @@ THIN = "and around no bone; more --particles make it soft"
 NEAR = 0.02  # of the size of the characters: open meshes that are farther away do not follow them
 
 
-def without_props(asset: Asset, solid: Solid, file: Path, spacing: float) -> Asset:
+def without_props(asset: Asset, solid: Solid, source: CharacterFile, spacing: float) -> Asset:
     """The asset, with meshes that the animation does not hold among the prims that are skipped.
 
     They are neither posed by a skeleton, or animated where there is none, nor connected to meshes
@@ -45,11 +44,11 @@ def without_props(asset: Asset, solid: Solid, file: Path, spacing: float) -> Ass
 
     spacing : [m] approximate spacing of the particles.
     """
-    from gf_usd.readers.usd.skeleton.bones import lone_skeleton, skeletons
+    from gf_usd.readers.usd.skeleton.bones import lone_skeleton
     from gf_usd.readers.usd_bake.caches import animated_meshes, has_animated_points
 
     paths, unmoved = [s.path for s in asset.surfaces], "no skeleton poses it"
-    posed = skeletons(file, paths, asset.facts)
+    file, posed = source.path, source.posed(asset)
     moved, nearest = set(posed), False
     if not moved:
         # without animated points all meshes follow the nearest bones of the only skeleton
@@ -78,25 +77,23 @@ def without_props(asset: Asset, solid: Solid, file: Path, spacing: float) -> Ass
 
 
 def worn_meshes(
-    asset: Asset, solid: Solid, file: Path, spacing: float, animation: Callable[[], Animation],
-    *, repaired: bool = False,
-) -> dict[str, str]:  # fmt: skip
+    asset: Asset, solid: Solid, source: CharacterFile, spacing: float, *, repaired: bool = False
+) -> dict[str, str]:
     """The reason why each of the garments of characters bounds no volume, by prim path.
 
     Only meshes of the same character count, since bind poses may overlap, and something of each is
     filled.
 
-    spacing : [m] approximate spacing of the particles; animation : reads that of the asset.
+    spacing : [m] approximate spacing of the particles.
     repaired : open meshes are closed or thickened, so that only closed sheets bound none.
     """
     from gf_usd.geometry.flesh.sheets import garments, thin_sheets
-    from gf_usd.readers.usd.skeleton.bones import read_skeleton, skeletons
+    from gf_usd.readers.usd.skeleton.bones import read_skeleton
 
-    paths = [s.path for s in asset.surfaces]
-    posed = skeletons(file, paths, asset.facts) if len(solid.surfaces) > 1 else {}
+    posed = source.posed(asset) if len(solid.surfaces) > 1 else {}
     if not posed:
         return {}
-    owners, _ = characters_of(asset, file)
+    owners, _ = characters_of(asset, source)
     members: dict[str, list[int]] = {}
     for k, surface in enumerate(solid.surfaces):
         members.setdefault(owners.get(surface.path, ""), []).append(k)
@@ -104,9 +101,9 @@ def worn_meshes(
     for owner, rows in members.items():
         if len(rows) < 2:
             continue
-        part, first = solid.part(np.array(rows)), animation().first
-        own = [path for path in paths if owners.get(path, "") == owner]
-        skeleton = read_skeleton(file, own, asset.facts, first=first, times=[first])
+        part, first = solid.part(np.array(rows)), source.animation(asset).first
+        own = [s.path for s in asset.surfaces if owners.get(s.path, "") == owner]
+        skeleton = read_skeleton(source.path, own, asset.facts, first=first, times=[first])
         drawn = asset.surfaces if repaired else ()
         thin = _thin_reasons(thin_sheets(part, skeleton, spacing, drawn), spacing)
         found = thin | dict.fromkeys(() if repaired else garments(part, posed), WORN)
@@ -176,15 +173,13 @@ def _near(solid: Solid, held: Ints, sheets: Sequence[Surface]) -> NDArray[np.boo
     return np.bincount(of, found, len(sheets)) > 0
 
 
-def characters_of(asset: Asset, file: Path) -> tuple[dict[str, str], tuple[str, ...]]:
+def characters_of(asset: Asset, source: CharacterFile) -> tuple[dict[str, str], tuple[str, ...]]:
     """The SkelRoot of the character that each surface belongs to, by prim path, and notes.
 
     Empty where there are fewer than two.  A surface without a skeleton, such as a prop, belongs to
     the character with the longest common path; among several, to the nearest.
     """
-    from gf_usd.readers.usd.skeleton.bones import skeletons
-
-    posed_by = skeletons(file, [s.path for s in asset.surfaces], asset.facts)
+    posed_by = source.posed(asset)
     found = {path: root for path, (_, root) in posed_by.items()}
     notes = []
     for root in dict.fromkeys(found.values()):

@@ -87,15 +87,6 @@ def animation_range(
     return first, max(first, last)
 
 
-def has_skeleton(file: Path, paths: Sequence[str], facts: StageFacts) -> bool:
-    """Whether any of some meshes is bound to a skeleton."""
-    with reading(file):
-        stage, time = open_stage(file), Usd.TimeCode.EarliestTime()
-        skins = Skins(time, UsdGeom.XformCache(time), Notes(), bind=True)
-        found = (skins.skeleton(named_prim(stage, facts.path, path)) for path in paths)
-        return any(one is not None and one[1].HasJointInfluences() for one in found)
-
-
 def skeletons(file: Path, paths: Sequence[str], facts: StageFacts) -> dict[str, tuple[str, str]]:
     """By prim path, the Skeleton that each mesh is bound to, and the nearest SkelRoot above it.
 

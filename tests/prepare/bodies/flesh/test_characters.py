@@ -10,6 +10,7 @@ from arm import arm, write
 
 from gf_usd.core.arrays import Floats
 from gf_usd.geometry.solid import build_solid
+from gf_usd.prepare.bodies.flesh.character_file import CharacterFile
 from gf_usd.prepare.bodies.flesh.characters import GROUND, OWN, PROP, SHEET, without_props
 from gf_usd.readers import read_asset
 
@@ -82,7 +83,7 @@ def cache(folder: Path, *meshes: str) -> Path:
 def left_out(path: Path) -> dict[str, str]:
     """The reason for each mesh that is left out, by its name."""
     asset = read_asset(path, bind_pose=True)
-    kept = without_props(asset, build_solid(asset), path, SPACING)
+    kept = without_props(asset, build_solid(asset), CharacterFile(asset, path, None), SPACING)
     new = kept.skipped[len(asset.skipped) :]
     assert {s.path for s in asset.surfaces} - {s.path for s in kept.surfaces} == {p for p, _ in new}
     return {path.rsplit("/", 1)[1]: reason for path, reason in new}

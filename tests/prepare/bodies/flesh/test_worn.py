@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,6 +10,7 @@ import trimesh
 from arm import arm, bound_mesh, write
 
 from gf_usd.geometry.solid import build_solid
+from gf_usd.prepare.bodies.flesh.character_file import CharacterFile
 from gf_usd.prepare.bodies.flesh.characters import WORN, worn_meshes
 from gf_usd.readers import read_asset
 
@@ -55,8 +55,7 @@ def stage(*characters: tuple[str, ...]) -> str:
 def worn(folder: Path, *characters: tuple[str, ...]) -> dict[str, str]:
     path = write(folder, stage(*characters))
     asset = read_asset(path)
-    first: Any = SimpleNamespace(first=1.0)
-    return worn_meshes(asset, build_solid(asset), path, SPACING, lambda: first)
+    return worn_meshes(asset, build_solid(asset), CharacterFile(asset, path, None), SPACING)
 
 
 BODY = tube("Body", 0.3, -1.0, 3.2)

@@ -16,9 +16,9 @@ from gf_usd.physics.grid.pins import Motion
 from gf_usd.readers import read_asset
 from gf_usd.readers.usd.skeleton.bones import (
     animation_range,
-    has_skeleton,
     lone_skeleton,
     read_skeleton,
+    skeletons,
 )
 
 EPS = 2e-6  # float32 points and quaternions of order 1
@@ -160,7 +160,7 @@ def test_points_without_weights_follow_the_nearest_bones_of_the_only_skeleton(
     facts = read_asset(path).facts
     at = np.array([[0.3, 0.1, 0.0], [1.0, 0.15, 0.0], [1.6, 0.0, -0.1], [-0.1, 0.0, 0.0]])
     assert lone_skeleton(path) == "/Arm/Skel"
-    assert not has_skeleton(path, ["/Arm/Person"], facts)
+    assert not skeletons(path, ["/Arm/Person"], facts)
     loose = {"/Arm/Person": at}
     assert animation_range(path, ["/Arm/Person"], facts, loose) == (FIRST, LAST)
     found = read_skeleton(
