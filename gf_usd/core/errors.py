@@ -11,6 +11,8 @@ from typing import Any
 
 SIMILAR = 0.6  # least similarity of a name that a hint gives, by difflib's ratio of equal letters
 
+CHOICE = re.compile(r"\[([^/\]]*)/([^\]]*)\]")  # a singular and a plural
+
 # As USD writes it: the rule of the grammar in C++, possibly a template with others as arguments.
 PARSE_ERROR = re.compile(r"parse error matching (?:\w+::)*(\w+)(<.*?>)?(?= at '|$)")
 
@@ -18,6 +20,13 @@ PARSE_ERROR = re.compile(r"parse error matching (?:\w+::)*(\w+)(<.*?>)?(?= at '|
 def counted(count: int, one: str, many: str = "") -> str:
     """A number with its noun, "1 frame" or "2 frames"; many : a plural that is not one with s."""
     return f"{count} {one if count == 1 else many or one + 's'}"
+
+
+def agreed(count: int, text: str) -> str:
+    """A text that agrees with a count: "[it is/they are] open" gives "it is open" for 1, else "they
+    are open".
+    """
+    return CHOICE.sub(lambda found: found[1 if count == 1 else 2], text)
 
 
 def listed(texts: Sequence[str], most: int = 4, join: str = ", ") -> str:

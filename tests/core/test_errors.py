@@ -10,6 +10,7 @@ import pytest
 from gf_usd.core import errors
 from gf_usd.core.errors import (
     GfUsdError,
+    agreed,
     counted,
     did_you_mean,
     listed,
@@ -68,6 +69,15 @@ def test_several_similar_names_are_nearest_first() -> None:
     assert found == ["Ball", "Balls", "bell"]
     assert meant(found[:2]) == "did you mean Ball or Balls? "
     assert meant([]) == ""
+
+
+@pytest.mark.parametrize(
+    ("count", "text"),
+    [(0, "they are open, as are meshes"), (1, "it is open, as is a mesh"),
+     (2, "they are open, as are meshes")],
+)  # fmt: skip
+def test_agreed_chooses_the_singular_or_the_plural(count: int, text: str) -> None:
+    assert agreed(count, "[it is/they are] open, as [is a mesh/are meshes]") == text
 
 
 def test_long_lists_are_cut() -> None:
