@@ -45,10 +45,10 @@ def maker(*, tilt: float = 30.0, animated: bool = True, inverse: bool = True) ->
     ]
     bind = np.tile(np.diag([1.0 / SMALL] * 3 + [1.0]), (2, 1, 1))  # row vectors: by columns
     bind[1, 3, 0] = -1.0 / SMALL
-    made.tree["skins"] = [{"joints": [3, 4]}]
+    skin: dict[str, Any] = {"joints": [3, 4]}
     if inverse:
-        matrices = made.accessor(bind.reshape(2, 16).astype(np.float32))
-        made.tree["skins"][0]["inverseBindMatrices"] = matrices
+        skin["inverseBindMatrices"] = made.accessor(bind.reshape(2, 16).astype(np.float32))
+    made.tree["skins"] = [skin]
     made.tree["scenes"], made.tree["scene"] = [{"nodes": [0, 1]}], 0
     if animated:
         animate(made)
@@ -82,14 +82,19 @@ def animate(made: GltfMaker) -> None:
     ]
 
 
-def posed(frame: float, *, tilt: float = 30.0) -> NDArray[np.float64]:
-    """(V, 3) [m] of the skin at a frame from 0 on, by the equations of glTF 2.0."""
+def posed(
+    frame: float, *, tilt: float = 30.0, offsets: NDArray[np.float64] | float = 0.0
+) -> NDArray[np.float64]:
+    """(V, 3) [m] of the skin at a frame from 0 on, by the equations of glTF 2.0.
+
+    offsets : (V, 3) [m] of morph targets, which come before the skinning.
+    """
     s, d = frame / (FRAMES - 1), (FRAMES - 1) / FPS
     rise = (3 * s**2 - 2 * s**3) * 20.0
     rise += d * ((s**3 - 2 * s**2 + s) * 30.0 + (s**3 - s**2) * -10.0)
     bend = Rotation.from_euler("z", BEND[0] + s * (BEND[1] - BEND[0]), degrees=True).as_matrix()
     turn = Rotation.from_euler("x", tilt, degrees=True).as_matrix()
-    X = arm.points()
+    X = arm.points() + offsets
     weight = np.clip((arm.ALONG - 0.8) / 0.4, 0.0, 1.0).repeat(4)[:, None]
     elbow = np.array([1.0, 0.0, 0.0])
     there = (1.0 - weight) * X + weight * ((X - elbow) @ bend.T + elbow)

@@ -87,6 +87,18 @@ class FileSkin:
 
 
 @dataclass(frozen=True, kw_only=True)
+class FileShape:
+    """A blend shape of a skinned mesh: it adds w(t) times its offsets to the points, before the
+    skinning.
+    """
+
+    name: str
+    offsets: Floats  # (V, 3) of the points
+    normal_offsets: Floats | None  # (V, 3) of the normals; None: they do not change
+    weights: Floats  # (F,) w at each frame of the skeleton's motion
+
+
+@dataclass(frozen=True, kw_only=True)
 class FileMesh:
     """One polygon mesh."""
 
@@ -103,6 +115,7 @@ class FileMesh:
     materials: Ints | None = None  # (P,) into MeshFile.materials; -1 none; None: none anywhere
     groups: tuple[tuple[str, Ints], ...] = ()  # named sets of faces
     skin: FileSkin | None = None
+    shapes: tuple[FileShape, ...] = ()  # whose weights change; of a mesh with a skin
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,6 +189,13 @@ def require_sound(file: MeshFile) -> MeshFile:
                 f"{where}: {lost} of {len(mesh.points)} points are not finite (NaN or infinity)",
                 REPAIR,
             )
+        for shape in mesh.shapes:
+            if lost := int((~np.isfinite(shape.offsets)).any(axis=1).sum()):
+                raise InputError(
+                    f"{where}: {lost} of {len(shape.offsets)} offsets of its blend shape"
+                    f" '{shape.name}' are not finite (NaN or infinity)",
+                    REPAIR,
+                )
         outside = (mesh.indices < 0) | (mesh.indices >= len(mesh.points))
         if outside.any():
             raise InputError(

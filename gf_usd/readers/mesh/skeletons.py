@@ -1,20 +1,22 @@
-"""Authoring of the skeletons of a mesh file as UsdSkel: Skeleton, SkelAnimation and bindings.
+"""Authoring of the skeletons of a mesh file as UsdSkel: Skeleton, SkelAnimation and bindings, with
+the blend shapes that they animate.
 
 /hero (SkelRoot)
     /hero/Skeleton (Skeleton)
         /hero/Skeleton/Animation (SkelAnimation)
     /hero/body (Mesh, SkelBindingAPI)
+        /hero/body/smile (BlendShape)
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from pxr import Gf, Usd, UsdGeom, UsdSkel, Vt
 
 from gf_usd.core.arrays import Floats
-from gf_usd.readers.mesh.data import FileSkeleton, FileSkin
+from gf_usd.readers.mesh.data import FileShape, FileSkeleton, FileSkin
 
 FIRST = 1.0  # time code of the first frame
 ANIMATION = "Animation"
@@ -67,6 +69,49 @@ def bind_to_skeleton(mesh: UsdGeom.Mesh, skin: FileSkin, skeleton: UsdSkel.Skele
     binding.CreateJointIndicesPrimvar(False, width).Set(Vt.IntArray.FromNumpy(joints))
     weights = np.ascontiguousarray(skin.weights.ravel(), np.float32)
     binding.CreateJointWeightsPrimvar(False, width).Set(Vt.FloatArray.FromNumpy(weights))
+
+
+def write_shapes(
+    mesh: UsdGeom.Mesh,
+    shapes: Sequence[FileShape],
+    weights: dict[str, Floats],
+    identifier: Callable[[str, set[str]], str],
+) -> None:
+    """Define the blend shapes of a mesh, and add the weights (F,) of each under its name, which is
+    unique in the animation.
+
+    identifier : as in `write_skeletons`.
+    """
+    names, targets = [], []
+    for one in shapes:
+        taken = weights.keys() | {child.GetName() for child in mesh.GetPrim().GetAllChildren()}
+        name = identifier(one.name, taken)
+        path = mesh.GetPath().AppendChild(name)
+        shape = UsdSkel.BlendShape.Define(mesh.GetPrim().GetStage(), path)
+        moved = one.offsets.any(1)
+        if one.normal_offsets is not None:
+            moved |= one.normal_offsets.any(1)
+        rows = np.flatnonzero(moved)
+        shape.CreatePointIndicesAttr(Vt.IntArray.FromNumpy(rows.astype(np.int32)))
+        shape.CreateOffsetsAttr(_vectors(one.offsets[rows]))
+        if one.normal_offsets is not None:
+            shape.CreateNormalOffsetsAttr(_vectors(one.normal_offsets[rows]))
+        weights[name] = one.weights
+        names.append(name)
+        targets.append(path)
+    binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
+    binding.CreateBlendShapesAttr(names)
+    binding.CreateBlendShapeTargetsRel().SetTargets(targets)
+
+
+def write_weights(skeleton: UsdSkel.Skeleton, weights: Mapping[str, Floats]) -> None:
+    """Add the weights (F,) of blend shapes, by name, to the animation of a skeleton."""
+    path = skeleton.GetPath().AppendChild(ANIMATION)
+    animation = UsdSkel.Animation.Get(skeleton.GetPrim().GetStage(), path)
+    animation.CreateBlendShapesAttr(list(weights))
+    attribute = animation.CreateBlendShapeWeightsAttr()
+    for frame, values in enumerate(np.stack(list(weights.values()), 1).astype(np.float32)):
+        attribute.Set(Vt.FloatArray.FromNumpy(values), FIRST + frame)
 
 
 def _tokens(one: FileSkeleton, identifier: Callable[[str, set[str]], str]) -> list[str]:

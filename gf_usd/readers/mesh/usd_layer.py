@@ -19,7 +19,12 @@ from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import free_name, prim_name
 from gf_usd.readers.mesh.data import FileMaterial, FileMesh, FileNode, MeshFile, Picture, Slot
-from gf_usd.readers.mesh.skeletons import bind_to_skeleton, write_skeletons
+from gf_usd.readers.mesh.skeletons import (
+    bind_to_skeleton,
+    write_shapes,
+    write_skeletons,
+    write_weights,
+)
 
 MATERIALS, GROUPS = "Materials", "groups"
 
@@ -53,8 +58,12 @@ def write_layer(
             _name(made.GetPrim(), material.name)
             materials.append(made)
     skeletons = write_skeletons(stage, root, file.skeletons, file.fps, _free)
+    weights: list[dict[str, Floats]] = [{} for _ in skeletons]  # of the blend shapes of each
     for node in file.nodes:
-        _write_node(stage, root, node, file, materials, skeletons)
+        _write_node(stage, root, node, file, materials, skeletons, weights)
+    for skeleton, shapes in zip(skeletons, weights, strict=True):
+        if shapes:
+            write_weights(skeleton, shapes)
     stage.GetRootLayer().Save()
 
 
@@ -93,6 +102,7 @@ def _write_node(
     file: MeshFile,
     materials: list,
     skeletons: list[UsdSkel.Skeleton],
+    weights: list[dict[str, Floats]],
 ) -> None:
     path = parent.GetPath().AppendChild(free_child_name(parent, _identifier(node.name)))
     alone = node.mesh is not None and not node.children
@@ -109,8 +119,10 @@ def _write_node(
         _write_mesh(mesh, node.mesh, file, materials)
         if (skin := node.mesh.skin) is not None:
             bind_to_skeleton(mesh, skin, skeletons[skin.skeleton])
+            if node.mesh.shapes:
+                write_shapes(mesh, node.mesh.shapes, weights[skin.skeleton], _free)
     for child in node.children:
-        _write_node(stage, made.GetPrim(), child, file, materials, skeletons)
+        _write_node(stage, made.GetPrim(), child, file, materials, skeletons, weights)
 
 
 def _write_mesh(prim: UsdGeom.Mesh, mesh: FileMesh, file: MeshFile, materials: list) -> None:

@@ -1,4 +1,5 @@
-"""Sampling of the animation of a glTF file: translations, rotations and scales of nodes.
+"""Sampling of the animation of a glTF file: translations, rotations and scales of nodes, and the
+weights of their morph targets.
 
 glTF 2.0, 3.11 and appendix C.  Between keyframes k and k + 1 at t_k and t_k+1, with
 d = t_k+1 - t_k and s = (t - t_k) / d, a value is
@@ -14,6 +15,7 @@ before the first keyframe and after the last.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -24,10 +26,12 @@ from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import InputError
 from gf_usd.readers.mesh.data import REPAIR
 from gf_usd.readers.mesh.gltf.container import Gltf, index, require_types, rows, table, text
+from gf_usd.readers.mesh.gltf.morphs import target_count
 from gf_usd.readers.mesh.gltf.primitives import decoded
 from gf_usd.readers.notes import Notes
 
 WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
+WEIGHTS = "weights"  # of as many morph targets as the mesh of the node has
 STEP, LINEAR, CUBIC = "STEP", "LINEAR", "CUBICSPLINE"
 RATES = (24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 120.0)  # [frames/s] candidate rates of keyframes
 ON_FRAME = 1e-3  # [frames] tolerance of keyframe times in single precision
@@ -46,7 +50,7 @@ ANIMATIONS = table(
 
 @dataclass(frozen=True, kw_only=True)
 class Channel:
-    """One animation channel: a translation, rotation or scale over time."""
+    """One animation channel: a translation, rotation or scale, or weights, over time."""
 
     times: Floats  # (n,) [s] increasing
     values: Floats  # (n, w)
@@ -78,12 +82,18 @@ class Channel:
 class Animation:
     """The animation channels of the nodes of a file; empty: no animation."""
 
-    channels: dict[tuple[int, str], Channel] = field(default_factory=dict)  # by node and WIDTHS
+    # by node, and WIDTHS or WEIGHTS
+    channels: dict[tuple[int, str], Channel] = field(default_factory=dict)
 
     @property
     def nodes(self) -> set[int]:
-        """The animated nodes."""
-        return {node for node, _ in self.channels}
+        """The nodes with an animated transform."""
+        return {node for node, path in self.channels if path != WEIGHTS}
+
+    @property
+    def morphs(self) -> bool:
+        """Whether weights of morph targets are animated."""
+        return any(path == WEIGHTS for _, path in self.channels)
 
     @property
     def span(self) -> tuple[float, float]:
@@ -101,8 +111,10 @@ class Animation:
         return RATES[0]
 
 
-def read_animation(gltf: Gltf, notes: Notes) -> Animation:
+def read_animation(gltf: Gltf, notes: Notes, morphs: Mapping[int, int]) -> Animation:
     """The first animation of a file.
+
+    morphs : how many morph targets the mesh of each node has, of the nodes whose weights are read.
 
     Raises InputError for keyframe times that do not increase or are not finite, for a wrong number
     of values, and for invalid targets.
@@ -120,11 +132,11 @@ def read_animation(gltf: Gltf, notes: Notes) -> Animation:
         where = f"{gltf.path}: animation {names[0]}, channel {k}"
         target = row.get("target", {})
         node, path = target.get("node"), target.get("path")
-        if path not in WIDTHS or node is None:
-            if path == "weights":
-                notes.add("animated weights of morph targets are ignored")
+        if node is None or (path not in WIDTHS and not (path == WEIGHTS and node in morphs)):
+            if path == WEIGHTS:
+                notes.add(*_ignored_weights(gltf, node))
             continue
-        if "matrix" in gltf.row("nodes", node):
+        if path != WEIGHTS and "matrix" in gltf.row("nodes", node):
             raise InputError(
                 f"{where} animates node {node}, which has a matrix and so cannot be animated",
                 REPAIR,
@@ -133,8 +145,19 @@ def read_animation(gltf: Gltf, notes: Notes) -> Animation:
             raise InputError(
                 f"{where} does not refer to any of the {len(samplers)} samplers", REPAIR
             )
-        channels[node, path] = _channel(gltf, where, samplers[row["sampler"]], path)
+        width = morphs[node] if path == WEIGHTS else WIDTHS[path]
+        channels[node, path] = _channel(gltf, where, samplers[row["sampler"]], path, width)
     return Animation(channels=channels)
+
+
+def _ignored_weights(gltf: Gltf, node: int | None) -> tuple[str, str]:
+    """Why the animated weights of a node are not read, and its name; None: no node is given."""
+    if node is None:
+        return "animated weights without a node are ignored", ""
+    row = gltf.row("nodes", node)
+    has = "mesh" in row and target_count(gltf.row("meshes", row["mesh"])) > 0
+    why = "no skeleton poses it" if has else "it has no morph targets"
+    return f"{why}: its animated weights are ignored", str(row.get("name") or f"node{node}")
 
 
 def frame_times(
@@ -157,7 +180,8 @@ def frame_times(
     return rate, first + np.arange(int(np.ceil(steps - ON_FRAME)) + 1) / rate
 
 
-def _channel(gltf: Gltf, where: str, sampler: dict[str, Any], path: str) -> Channel:
+def _channel(gltf: Gltf, where: str, sampler: dict[str, Any], path: str, width: int) -> Channel:
+    """The channel of a sampler, whose values have a width: for weights, one in each row."""
     times = decoded(gltf, sampler.get("input"))[:, 0]
     values = decoded(gltf, sampler.get("output"))
     mode = sampler.get("interpolation", LINEAR)
@@ -167,7 +191,8 @@ def _channel(gltf: Gltf, where: str, sampler: dict[str, Any], path: str) -> Chan
         raise InputError(f"{where}: its {len(times)} key times do not increase or are not finite",
                          REPAIR)  # fmt: skip
     each = 3 if mode == CUBIC else 1
-    width = WIDTHS[path]
+    if path == WEIGHTS and values.shape == (each * len(times) * width, 1):
+        values = values.reshape(-1, width)
     if values.shape != (each * len(times), width) or not np.isfinite(values).all():
         raise InputError(
             f"{where}: {path} has {len(values)} rows of {values.shape[1]} values for "

@@ -24,8 +24,9 @@ from numpy.typing import NDArray
 from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import InputError, counted
 from gf_usd.readers.mesh.data import REPAIR, FileMesh, FileSkeleton, FileSkin
-from gf_usd.readers.mesh.gltf.animation import frame_times, read_animation
+from gf_usd.readers.mesh.gltf.animation import WEIGHTS, frame_times, read_animation
 from gf_usd.readers.mesh.gltf.container import Gltf
+from gf_usd.readers.mesh.gltf.morphs import target_count
 from gf_usd.readers.mesh.gltf.nodes import Nodes, Parts, local_matrix
 from gf_usd.readers.mesh.gltf.primitives import Primitive
 from gf_usd.readers.mesh.gltf.skins import Skins
@@ -64,11 +65,27 @@ class Rigs:
         self._gltf, self._nodes, self._skins, self._notes = gltf, nodes, skins, notes
         self._trees: list[_Tree] = []
         self._of: dict[int, tuple[int, Floats]] = {}  # tree and matrix of each skin
-        self._animation = read_animation(gltf, notes)
+        self._animation = read_animation(gltf, notes, self._morphs(used))
         self.fps, self._times = frame_times(self._animation, fps, str(gltf.path))
         for number in used:
             self._add(number)
         self.skeletons = tuple(self._skeleton(k, tree) for k, tree in enumerate(self._trees))
+
+    def weights(self, node: int) -> NDArray[np.float64] | None:
+        """(F, K) the weights of the morph targets of a node's mesh at the frames; None: they are
+        not animated.
+        """
+        channel = self._animation.channels.get((node, WEIGHTS))
+        return None if channel is None else channel.at(self._times, 0.01 / self.fps)
+
+    def _morphs(self, used: list[int]) -> dict[int, int]:
+        """The number of morph targets of the meshes that skeletons pose, by node."""
+        joints = {joint for number in used for joint in self._skins.joints(number)}
+        out = {}
+        for node, row in enumerate(self._gltf.rows("nodes")):
+            if "mesh" in row and ("skin" in row or joints & set(self._nodes.chain(node))):
+                out[node] = target_count(self._gltf.row("meshes", row["mesh"]))
+        return {node: count for node, count in out.items() if count}
 
     def skinned(
         self, number: int, name: str, mesh: FileMesh, primitives: list[Primitive]
@@ -182,7 +199,8 @@ class Rigs:
             parents.append(parent)
             waiting += [(child, row) for child in reversed(below[node])]
         parts = [self._nodes.parts(node) for node in tree.order]
-        moving = bool(self._animation.nodes & set(tree.order))
+        # blend shapes are animated together with the joints
+        moving = bool(self._animation.nodes & set(tree.order)) or self._animation.morphs
         motion = [self._motion(node, part) for node, part in zip(tree.order, parts)]
         T, Q, S = (np.stack(column, 1) for column in zip(*motion))
         local = [

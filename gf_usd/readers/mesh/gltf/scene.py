@@ -13,10 +13,17 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import InputError
-from gf_usd.readers.mesh.data import REPAIR, FileMesh, FileNode, MeshFile, require_sound
+from gf_usd.readers.mesh.data import (
+    REPAIR,
+    FileMesh,
+    FileNode,
+    FileShape,
+    MeshFile,
+    require_sound,
+)
 from gf_usd.readers.mesh.gltf.container import Gltf, open_gltf
 from gf_usd.readers.mesh.gltf.materials import GltfMaterials
-from gf_usd.readers.mesh.gltf.morphs import morphed
+from gf_usd.readers.mesh.gltf.morphs import changing_shapes, morphed
 from gf_usd.readers.mesh.gltf.nodes import Nodes, local_matrix
 from gf_usd.readers.mesh.gltf.primitives import Primitive, read_primitives
 from gf_usd.readers.mesh.gltf.rigs import Rigs
@@ -109,7 +116,7 @@ class _Scene:
         below = [self._node(child, (*above, index)) for child in row.get("children", [])]
         children = tuple(node for node in below if node is not None)
         name = str(row.get("name") or f"node{index}")
-        mesh = self._mesh(row, name) if "mesh" in row else None
+        mesh = self._mesh(row, index, name) if "mesh" in row else None
         if mesh is not None and (posed := self._skinned(row, index, name, mesh)) is not None:
             self._posed.append(posed)
             mesh = None
@@ -136,13 +143,17 @@ class _Scene:
         self._gltf.row("meshes", number)
         return {p: found for (m, p), found in self._primitives.items() if m == number}
 
-    def _mesh(self, row: dict[str, Any], node: str) -> FileMesh | None:
+    def _mesh(self, row: dict[str, Any], index: int, node: str) -> FileMesh | None:
         """The merged primitives of the mesh of a node; None where none has a surface."""
         with_surface = self._of_mesh(row["mesh"])
         if not with_surface:
             return None
         name = str(self._gltf.row("meshes", row["mesh"]).get("name") or node)
-        primitives = morphed(self._gltf, row, with_surface, self._notes, name, node)
+        weights = self.rigs.weights(index) if self.rigs else None
+        primitives = morphed(self._gltf, row, with_surface, self._notes, name, node, weights)
+        shapes: tuple[FileShape, ...] = ()
+        if weights is not None:
+            shapes = changing_shapes(self._gltf, row["mesh"], with_surface, weights, name)
         starts = np.cumsum([0] + [len(p.points) for p in primitives])
         indices = np.concatenate([p.triangles + at for p, at in zip(primitives, starts)])
         materials = [
@@ -158,6 +169,7 @@ class _Scene:
             normals=self._normals(primitives, name),
             colors=_joined([self.materials.colors(p) for p in primitives], primitives, 1.0),
             materials=np.concatenate(materials),
+            shapes=shapes,
         )
 
     def _normals(self, primitives: list[Primitive], name: str) -> Floats | None:
