@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Usd, UsdGeom, UsdSkel
 
-from gf_usd.core.arrays import Floats
+from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import StageFacts
 from gf_usd.core.errors import InputError
 from gf_usd.core.mesh.triangulation import triangulate
@@ -40,9 +40,11 @@ from gf_usd.readers.usd.skeleton.rig import Rig, read_rig
 from gf_usd.readers.usd.skeleton.segments import (
     FleshPoints,
     beyond,
+    connected_parts,
     direction,
     distance,
     into_flesh,
+    near_flesh,
     point_areas,
     slender,
     to_segment,
@@ -224,7 +226,9 @@ def _add_flesh(
     rig.weights[str(prim.GetPath())] = dense / np.where(total > 0.0, total, 1.0)
     placed = place.points(points) * facts.units.length
     rig.points.append(placed)
-    rig.area.append(point_areas(placed, _triangles(prim, placed, skins.time)))
+    triangles = _triangles(prim, placed, skins.time)
+    rig.area.append(point_areas(placed, triangles))
+    rig.part.append(connected_parts(placed, triangles))
     rig.owner.append(owner)
 
 
@@ -256,6 +260,7 @@ def _add_loose(rig: Rig, path: str, points: Floats, facts: StageFacts, first: fl
     rig.weights[path] = weights / weights.sum(1, keepdims=True)
     rig.points.append(np.asarray(points, np.float64))
     rig.area.append(np.ones(len(points)))
+    rig.part.append(np.zeros(len(points), np.int64))
     rig.owner.append(weights.argmax(1))
 
 
@@ -266,6 +271,7 @@ def _bones(rig: Rig, facts: StageFacts, first: float, times: Floats) -> dict[int
     at = _through(rig.bind[:, 3, :3], rest) * unit
     flesh = FleshPoints(at=np.concatenate(rig.points), area=np.concatenate(rig.area))
     owner = np.concatenate(rig.owner)
+    part, joined = _parts(rig, owner)
     size = float(np.linalg.norm(np.ptp(np.concatenate([at, flesh.at]), axis=0)))
     motion = joint_motion(rig, facts, first, times)  # (F, J, 4, 4)
     worlds = skeleton_worlds(rig, facts, first, times)  # (F, 4, 4)
@@ -273,7 +279,9 @@ def _bones(rig: Rig, facts: StageFacts, first: float, times: Floats) -> dict[int
     weighted = np.any([w.any(0) for w in rig.weights.values()], axis=0)
     out = {}
     for j in np.flatnonzero(weighted).tolist():
-        mine = flesh.subset(owner == j)
+        own = np.flatnonzero(owner == j)
+        own = own[near_flesh(flesh.at[own], part[own], joined[own], at[j])]
+        mine = flesh.subset(own)
         ends = [at[c] for c in np.flatnonzero(rig.parents == j)]
         ends = [end for end in ends if np.linalg.norm(end - at[j]) > SHORT * size and len(mine)]
         free = [False] * len(ends)
@@ -305,6 +313,19 @@ def _bones(rig: Rig, facts: StageFacts, first: float, times: Floats) -> dict[int
             path=path,
         )
     return out
+
+
+def _parts(rig: Rig, owner: Ints) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """The connected part of each point (V,) of all meshes, and whether that has points of several
+    owners (V,).
+    """
+    counts = [int(one.max(initial=-1)) + 1 for one in rig.part]
+    starts = np.cumsum([0, *counts])
+    part = np.concatenate([one + at for one, at in zip(rig.part, starts)])
+    least, most = np.full(starts[-1], len(rig.joints)), np.full(starts[-1], -1)
+    np.minimum.at(least, part, owner)
+    np.maximum.at(most, part, owner)
+    return part, (least != most)[part]
 
 
 def _through(points: Floats, matrix: Floats) -> Floats:

@@ -24,6 +24,7 @@ class Rig:
     bind: Floats  # (J, 4, 4) skeleton space, row vectors, aligned: see `Skins.alignment`
     points: list[Floats] = field(default_factory=list)  # (V, 3) [m] bind pose, world
     area: list[Floats] = field(default_factory=list)  # (V,) [m^2] of the surface around each
+    part: list[Ints] = field(default_factory=list)  # (V,) connected part of the mesh
     owner: list[Ints] = field(default_factory=list)  # (V,) joint of the largest weight
     weights: dict[str, Floats] = field(default_factory=dict)  # (V, J) of each mesh, by path
 

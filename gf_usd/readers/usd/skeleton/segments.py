@@ -15,7 +15,10 @@ from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.mesh.measures import areas
+from gf_usd.core.mesh.topology import weld
+from gf_usd.core.neighbors import components
 
+APART = 0.25  # of the size of a joint's flesh: what a wider gap separates is no part of it
 INTO_FLESH = 1.5  # length of a segment toward the mean of a joint's points, over their distance
 
 
@@ -29,8 +32,8 @@ class FleshPoints:
     def __len__(self) -> int:
         return len(self.at)
 
-    def subset(self, chosen: NDArray[np.bool_]) -> FleshPoints:
-        """Those of the points that are chosen, (n,); alike where these have no area."""
+    def subset(self, chosen: NDArray[np.bool_] | Ints) -> FleshPoints:
+        """Those of the points that are chosen, (n,) or by rows; alike where these have no area."""
         area = self.area[chosen]
         return FleshPoints(at=self.at[chosen], area=area if area.any() else np.ones(len(area)))
 
@@ -56,6 +59,61 @@ def point_areas(points: Floats, triangles: Ints) -> NDArray[np.float64]:
     corners = np.asarray(triangles).reshape(-1)
     shares = np.repeat(areas(points, triangles) / 3.0, 3)
     return np.asarray(np.bincount(corners, shares, len(points)), np.float64)
+
+
+def connected_parts(points: Floats, triangles: Ints) -> NDArray[np.int64]:
+    """(V,) the connected part of a mesh that each of its points (V, 3) belongs to; points in one
+    place are one.  Without triangles (T, 3), as of a tetrahedral mesh, all are one part.
+    """
+    if not len(triangles):
+        return np.zeros(len(points), np.int64)
+    corners = np.asarray(triangles)
+    part = _linked(corners, len(points))
+    if np.ptp(part[corners]) > 0:  # else welding, the slower step, changes nothing
+        of = weld(points)[0]
+        part = _linked(of[corners], len(points))[of]
+    return part
+
+
+def _linked(triangles: Ints, count: int) -> NDArray[np.int64]:
+    """(count,) the part of each point that triangles (T, 3) connect."""
+    from scipy.sparse import coo_matrix
+
+    rows, columns = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]]]).T
+    graph = coo_matrix((np.ones(len(rows)), (rows, columns)), shape=(count, count))
+    return np.asarray(components(graph)[1], np.int64)
+
+
+def near_flesh(
+    at: Floats, part: Ints, joined: NDArray[np.bool_], joint: Floats
+) -> NDArray[np.bool_]:
+    """(n,) which points (n, 3) [m] of a joint are its flesh, and not of a part apart from it, such
+    as a balloon that a hand leads: toward that, a bone would leave the flesh.
+
+    Parts with points of other joints, too, are its flesh.  Of those that follow this joint alone
+    all are whose bounding box is no farther from that of the flesh and the joint than a share APART
+    of its diagonal, repeatedly.  Where no part has points of other joints, as in a jointed doll, it
+    is unknown which are apart, and all are its flesh.
+
+    part : (n,) of each point; joined : (n,) whether its part has points of other joints.
+    """
+    if joined.all() or not joined.any():
+        return np.ones(len(at), bool)
+    labels, of = np.unique(part, return_inverse=True)
+    low, high = np.full((len(labels), 3), np.inf), np.full((len(labels), 3), -np.inf)
+    np.minimum.at(low, of, at)
+    np.maximum.at(high, of, at)
+    kept = np.zeros(len(labels), bool)
+    kept[of[joined]] = True
+    while not kept.all():
+        least = np.minimum(low[kept].min(0), joint)
+        most = np.maximum(high[kept].max(0), joint)
+        gaps = np.linalg.norm(np.maximum(np.maximum(low - most, least - high), 0.0), axis=1)
+        near = kept | (gaps <= APART * np.linalg.norm(most - least))
+        if (near == kept).all():
+            break
+        kept = near
+    return kept[of]
 
 
 def beyond(flesh: FleshPoints, joint: Floats, parent: Floats) -> FleshPoints:

@@ -7,7 +7,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from arm import FIRST, LAST, WIDTH, arm, captured, points, skinned, write
+from arm import (
+    BOOT_CORNERS,
+    BOOT_FACES,
+    FIRST,
+    LAST,
+    WIDTH,
+    arm,
+    bound_mesh,
+    captured,
+    points,
+    skinned,
+    write,
+)
+from numpy.typing import NDArray
 from pxr import Usd, UsdGeom
 
 from gf_usd.core.errors import InputError
@@ -86,6 +99,33 @@ def test_corners_that_are_repeated_for_each_face_do_not_turn_a_segment(tmp_path:
     stage.Save()
     for one, other in zip(bones_of(path, [FIRST]), shared, strict=True):
         np.testing.assert_allclose(one.segments, other.segments, atol=EPS)
+
+
+def with_box(x: float) -> str:
+    """The arm, and a box as wide beside its axis from x [m] on, which joint B alone carries."""
+    corners = (BOOT_CORNERS - BOOT_CORNERS.min(0)) / np.ptp(BOOT_CORNERS, axis=0)
+    box = WIDTH * corners + (x, 0.2, -0.5 * WIDTH)
+    faces = [BOOT_FACES[k : k + 4] for k in range(0, len(BOOT_FACES), 4)]
+    return arm().rstrip().removesuffix("}") + bound_mesh("Box", box, faces, [1] * 8) + "}"
+
+
+def test_a_bone_does_not_leave_the_flesh_toward_a_mesh_apart_from_it(tmp_path: Path) -> None:
+    """Toward a box 4 m beyond an arm of 2 m its last bone ran to 4.5 m."""
+    paths = ["/Arm/Skin", "/Arm/Box"]
+
+    def end(text: str) -> NDArray[np.float64]:
+        path = write(tmp_path, text)
+        facts = read_asset(path).facts
+        kept = [one for one in paths if one.rsplit("/", 1)[1] in text]
+        bones = read_skeleton(path, kept, facts, first=FIRST, times=[FIRST]).bones
+        return bones[1].segments[0, 1]
+
+    alone = end(arm())
+    np.testing.assert_allclose(end(with_box(6.0)), alone, atol=EPS)
+    # the flesh of B is 1 m long and 0.4 m wide and high: a quarter of its size is 0.29 m
+    np.testing.assert_allclose(end(with_box(2.3)), alone, atol=EPS)
+    assert end(with_box(2.2))[0] > alone[0] + 0.3
+    assert end(with_box(1.9))[0] > alone[0] + 0.1
 
 
 def test_slender_flesh_behind_a_root_has_a_bone(tmp_path: Path) -> None:

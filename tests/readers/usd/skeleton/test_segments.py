@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gf_usd.readers.usd.skeleton.segments import FleshPoints, direction, into_flesh, point_areas
+from gf_usd.readers.usd.skeleton.segments import (
+    FleshPoints,
+    connected_parts,
+    direction,
+    into_flesh,
+    near_flesh,
+    point_areas,
+)
 
 
 def test_a_bone_points_to_the_far_flesh_of_its_joint_not_to_what_is_around_it() -> None:
@@ -46,3 +53,31 @@ def test_areas_of_points_are_thirds_of_their_triangles() -> None:
     np.testing.assert_allclose(point_areas(at, np.array([[0, 1, 2], [1, 3, 2]])), [1, 2, 2, 1])
     # without triangles: of a box of 3 x 2 x 0
     assert point_areas(at, np.zeros((0, 3), int)) == pytest.approx([3.0] * 4)
+
+
+def test_parts_are_connected_by_faces_whose_corners_may_be_repeated() -> None:
+    at = np.array([(x, y, 0.0) for x in (0.0, 1.0, 1.0, 2.0, 5.0, 6.0) for y in (0.0, 1.0)])
+    quads = np.array([[0, 1, 2], [2, 1, 3], [4, 5, 6], [6, 5, 7], [8, 9, 10], [10, 9, 11]])
+    part = connected_parts(at, quads)
+    assert (len(set(part[:8])), len(set(part[8:]))) == (1, 1)
+    assert part[0] != part[8]
+    assert not connected_parts(at, np.zeros((0, 3), int)).any()
+
+
+@pytest.mark.parametrize(
+    ("gap", "far"), [(0.0, True), (0.2, True), (0.3, False)], ids=["at it", "near", "apart"]
+)
+def test_flesh_reaches_over_gaps_of_a_quarter_of_its_size(gap: float, far: bool) -> None:
+    """The joint is at 0 and the flesh ends at 1: what follows a part that is near is judged by the
+    size of both, so that the gap before the third may be larger.
+    """
+    starts = np.array([0.0, 1.0 + gap, 2.4 + gap])
+    at = np.array([(x + more, 0.0, 0.0) for x in starts for more in (0.0, 1.0)])
+    part, joined = np.repeat([4, 9, 7], 2), np.arange(6) < 2
+    found = near_flesh(at, part, joined, np.zeros(3))
+    assert found.tolist() == [True, True, far, far, far, far]
+
+
+def test_all_is_flesh_where_no_part_has_points_of_other_joints() -> None:
+    at = np.array([(0.0, 0.0, 0.0), (9.0, 0.0, 0.0)])
+    assert near_flesh(at, np.arange(2), np.zeros(2, bool), np.zeros(3)).all()
