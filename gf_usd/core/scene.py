@@ -1,14 +1,10 @@
-"""A scene to render: plain arrays between the code that reads and the code that renders.
+"""Scenes to render and baked motions, as plain arrays between the code that reads and the code that
+draws.
 
 Lengths are meters in the world frame of the stage, quaternions (w, x, y, z), colors linear
 Rec. 709 unless a field says otherwise.  Everything here is immutable and independent of USD and
-the renderer.
-
-Also the choice of the captured Gaussians that an image must contain: captures have outliers.
-
-A baked motion as plain arrays, between the code that reads and the code that displays it.
-
-Lengths are meters in the world frame of the stage, colors linear Rec. 709.
+the renderer.  Also the choice of the captured Gaussians that an image must contain: captures have
+outliers.
 """
 
 from __future__ import annotations
