@@ -51,7 +51,7 @@ def show(seen: Inspection) -> None:
     _body(console, seen)
     _advice(console, seen)
     _parts(console, seen)
-    _lines(console, "skipped", [f"<{p}>: {why}" for p, why in seen.asset.skipped])
+    _lines(console, "skipped", _skipped(seen))
     _lines(console, "note", _notes(seen))
     for warning in seen.warnings:
         console.print(f"[yellow]warning:[/] {escape(warning)}")
@@ -222,6 +222,16 @@ def _part(part: Part, unit: float) -> Sequence[str]:
         "none: loose faces" if part.loose else length_text(part.thickness), str(part.particles),
         "too many" if part.suggested is None else str(part.suggested),
     )  # fmt: skip
+
+
+def _skipped(seen: Inspection) -> list[str]:
+    """Prims that are not baked, those of one reason together: a robot has many colliders."""
+    from gf_usd.prepare.fill.notes import by_reason
+
+    return [
+        f"<{path}>{f' and {more} more' if more else ''}: {why}"
+        for path, more, why in by_reason(seen.asset.skipped)
+    ]
 
 
 def _notes(seen: Inspection) -> list[str]:

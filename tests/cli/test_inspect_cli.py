@@ -236,3 +236,18 @@ def test_a_one_sided_strip_is_open_and_not_without_effect(gf_usd, tmp_path: Path
     assert "48 boundary edges" in done.out
     assert "0 holes" not in done.out
     assert "do not affect" not in done.out
+
+
+def test_prims_skipped_for_one_reason_share_a_line(gf_usd, tmp_path: Path) -> None:
+    """The colliders of a robot filled all lines and hid the other reasons."""
+    guides = "\n".join(
+        f'def Sphere "c{k}" {{\nuniform token purpose = "guide"\n}}' for k in range(13)
+    )
+    (tmp_path / "robot.usda").write_text(
+        f'#usda 1.0\ndef Xform "R"\n{{\ndef Sphere "body" {{}}\n{guides}\n'
+        'def BasisCurves "cable" {}\n}\n'
+    )
+    done = gf_usd("inspect", "robot.usda", *FEW)
+    lines = [line for line in done.out.splitlines() if line.startswith("skipped")]
+    assert lines[0] == "skipped: </R/c0> and 12 more: purpose guide"
+    assert lines[1].startswith("skipped: </R/cable>: BasisCurves")

@@ -48,7 +48,7 @@ def not_baked_notes(skipped: Iterable[tuple[str, str]]) -> tuple[str, ...]:
         others = f" and {more} more are" if more else " is"
         return f"<{path}>{others} not baked: {reason}{way}"
 
-    return tuple(note(*group) for group in _by_reason(skipped))
+    return tuple(note(*group) for group in by_reason(skipped))
 
 
 # How meshes that are not filled move: of one, and of several.
@@ -85,7 +85,7 @@ def not_filled_notes(
     return tuple(
         note(*group, way)
         for way in (WITH_BODY, SKINNED, WITH_JOINT)
-        for group in _by_reason(one for one in left if way_of(one[0]) is way)
+        for group in by_reason(one for one in left if way_of(one[0]) is way)
     )
 
 
@@ -93,11 +93,11 @@ def advice_notes(advice: Sequence[Advice]) -> tuple[str, ...]:
     """The notes on the materials that ``--material auto`` chose."""
     return tuple(
         f"<{path}> and {more} more are {chosen}" if more else f"<{path}> is {chosen}"
-        for path, more, chosen in _by_reason((one.path, one.chosen) for one in advice)
+        for path, more, chosen in by_reason((one.path, one.chosen) for one in advice)
     )
 
 
-def _by_reason(prims: Iterable[tuple[str, str]]) -> list[tuple[str, int, str]]:
+def by_reason(prims: Iterable[tuple[str, str]]) -> list[tuple[str, int, str]]:
     """(path, 0, reason) of each prim (path, reason).
 
     Of more than `MOST_NAMED` prims with the same reason only the first is listed, with the number
