@@ -8,7 +8,7 @@ change a transform under baked points.  Such instances are skipped (`hidden_opin
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -82,7 +82,7 @@ def select(stage: Usd.Stage, path: Path, prims: Sequence[str], time: Usd.TimeCod
         skipped[str(where)] = why
         del geometry[where]
     for where, prim in list(geometry.items()):
-        if base := _inherits_from(prim, geometry):
+        if len(geometry) > 1 and (base := inherited(prim, geometry)):
             skipped[str(where)] = f"inherits from <{base}>, which is baked, and follows it"
             del geometry[where]
     return Selection(
@@ -130,13 +130,11 @@ def shapes_under(
                 yield prim
 
 
-def _inherits_from(prim: Usd.Prim, geometry: Mapping[Sdf.Path, Usd.Prim]) -> Sdf.Path | None:
-    """The baked prim from which this one inherits its points, and thereby its motion; or None."""
-    if len(geometry) == 1:
-        return None
+def inherited(prim: Usd.Prim, among: Container[Sdf.Path]) -> Sdf.Path | None:
+    """The first prim of these paths from which this one inherits its values; None: from none."""
     for arc in Usd.PrimCompositionQuery(prim).GetCompositionArcs():
         target = arc.GetTargetNode().path
-        if arc.GetArcType() == Pcp.ArcTypeInherit and target in geometry:
+        if arc.GetArcType() == Pcp.ArcTypeInherit and target in among:
             return target
     return None
 

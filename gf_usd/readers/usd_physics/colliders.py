@@ -17,6 +17,7 @@ from gf_usd.core.units import code_text
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.usd.implicit import IMPLICIT
 from gf_usd.readers.usd.mesh import Reading, posed_points, read_surface
+from gf_usd.readers.usd.select import inherited
 from gf_usd.readers.usd.stage import Placement, SkippedPrim
 from gf_usd.readers.usd_physics.attributes import body_of, is_collider, number, role, word
 from gf_usd.readers.usd_physics.bodies import PhysicsMaterials
@@ -28,6 +29,8 @@ from gf_usd.readers.usd_physics.motion import (
     transform_varies,
 )
 
+COPY = "is a collider of a copy, by inherits, that follows a baked body: it does not collide"
+
 
 def obstacles(
     prims: Iterable[Usd.Prim], bodies: Sequence[Usd.Prim], time: Usd.TimeCode, notes: Notes
@@ -35,7 +38,8 @@ def obstacles(
     """Enabled colliders, separated into obstacles and those of baked bodies.
 
     A collider belongs to a baked body if it is baked, is a descendant of a baked prim, or is part
-    of the same rigid or deformable body.
+    of the same rigid or deformable body.  One that inherits from such a collider is neither: its
+    body is a copy that follows the baked one.
     """
     baked = [prim.GetPath() for prim in bodies]
     owners = {owner.GetPath() for prim in bodies if (owner := body_of(prim, time))}
@@ -56,7 +60,25 @@ def obstacles(
             )
         else:
             others.append(prim)
-    return others, own
+    return (_without_copies(others, own, notes) if own else others), own
+
+
+def _without_copies(
+    others: Sequence[Usd.Prim], own: Sequence[Usd.Prim], notes: Notes
+) -> list[Usd.Prim]:
+    """The colliders that inherit from none of a baked body.
+
+    The clones of a robot inherit from the first one: what is seen of them moves with what is baked
+    of that one (`select`), and their colliders would stay behind as invisible obstacles.
+    """
+    sources = {prim.GetPath() for prim in own}
+    kept = []
+    for prim in others:
+        if inherited(prim, sources):
+            notes.add(COPY, _name(prim))
+        else:
+            kept.append(prim)
+    return kept
 
 
 def read_colliders(

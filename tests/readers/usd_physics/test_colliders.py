@@ -93,6 +93,26 @@ def test_a_collider_under_a_baked_prim_is_no_obstacle(read_physics) -> None:
     assert only(read_physics(duck)).path == "/Duck/Proxy"
 
 
+def test_the_colliders_of_copies_that_follow_a_baked_body_are_no_obstacles(read_physics) -> None:
+    """Clones of a robot inherit from the first one, and follow what is baked of it."""
+    guide = 'uniform token purpose = "guide"'
+    robot = prim(
+        "Xform", "Robot", mesh("Look"), mesh("Proxy", guide, apis=[COLLISION]),
+        apis=["PhysicsRigidBodyAPI"],
+    )  # fmt: skip
+    clone = prim("Xform", "Clone", meta="inherits = </Robot>")
+    stand = mesh("Stand", apis=[COLLISION])
+    found = read_physics(robot, clone, stand, bodies=("/Robot/Look",))
+    assert only(found).path == "/Stand"
+    assert (
+        "</Clone/Proxy> is a collider of a copy, by inherits, that follows a baked body: it does"
+        " not collide"
+    ) in found.notes
+    # of a copy of what is not baked it is an obstacle
+    apart = read_physics(robot, clone, stand, mesh("Ball"), bodies=("/Ball",))
+    assert [c.path for c in apart.colliders] == ["/Robot/Proxy", "/Clone/Proxy", "/Stand"]
+
+
 def test_a_soft_body_of_the_neighbors_owns_its_colliders(read_physics) -> None:
     jelly = prim(
         "Xform",
