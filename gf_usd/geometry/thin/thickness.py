@@ -3,9 +3,10 @@
 The thickness at a surface point is the length of the ray along the inward normal to where it leaves
 the solid: the thickness of a plate, the diameter of a rod.  (The shape diameter function of
 Shapira, Shamir and Cohen-Or 2008 averages a cone of such rays, which underestimates the thickness
-near the edges of a box.)  A ray ends where it leaves the union of the surfaces of its body;
-`shell_chords` also end where they leave a single shell.  Points are sampled uniformly by area, so
-that shares of points are shares of the surface.
+near the edges of a box.)  Where the sides meet at a sharp edge, as those of a tetrahedron do, its
+length goes to zero towards the edge: see `THICK_EDGE`.  A ray ends where it leaves the union of the
+surfaces of its body; `shell_chords` also end where they leave a single shell.  Points are sampled
+uniformly by area, so that shares of points are shares of the surface.
 """
 
 from __future__ import annotations
@@ -24,6 +25,10 @@ from gf_usd.geometry.winding import Flags
 RAYS = 1000  # a share of 5 % is 50 of them, with a standard deviation of 0.7 %
 THIN_SHARE = 0.05  # of the surface area is thinner than `Thickness.thin`
 SMALL_SHARE = 0.01  # of the triangles are smaller than the unit of the ray test
+# Rays that leave through a face at a larger angle to their first one, 45 degrees, are longer than
+# the distance to the edge of the wedge: they measure that distance, and no resolution fills an
+# edge.  They count as the median of those of their shell, about the thickness of a triangular rod.
+THICK_EDGE = np.cos(np.pi / 4.0)
 CLEAR = 1e-4  # of the box's diagonal: offset from a triangle for an unambiguous inside test
 
 
@@ -45,14 +50,18 @@ def thickness(solid: Solid, bodies: Ints | None = None, rays: int = RAYS) -> Thi
     bodies : (S,) the body of each surface, in which its rays end; None: a single body.
     """
     of = np.zeros(len(solid.surfaces), np.int64) if bodies is None else bodies
-    return solid.measured((rays, of.tobytes()), lambda: _quantiles(ray_lengths(solid, of, rays)))
+    return solid.measured((rays, of.tobytes()), lambda: _quantiles(*_rays(solid, of, rays)))
 
 
-def _quantiles(length: Floats) -> Thickness | None:
-    """Of ray lengths (n,) [m]."""
+def _quantiles(length: Floats, oblique: Flags, shell: Ints) -> Thickness | None:
+    """Of rays: lengths (n,) [m], whether they end at an oblique face, and their shells (n,)."""
     if not len(length):
         return None
-    return Thickness(thin=float(np.quantile(length, THIN_SHARE)), median=float(np.median(length)))
+    wide = length.copy()
+    for k in np.unique(shell[oblique]):
+        mine = oblique & (shell == k)
+        wide[mine] = np.maximum(length[mine], np.median(length[mine]))
+    return Thickness(thin=float(np.quantile(wide, THIN_SHARE)), median=float(np.median(length)))
 
 
 def ray_lengths(solid: Solid, bodies: Ints | None, rays: int) -> Floats:
@@ -62,15 +71,33 @@ def ray_lengths(solid: Solid, bodies: Ints | None, rays: int) -> Floats:
 
     bodies : see `thickness`.
     """
+    of = np.zeros(len(solid.surfaces), np.int64) if bodies is None else bodies
+    return _rays(solid, of, rays)[0]
+
+
+def _rays(solid: Solid, of: Ints, rays: int) -> tuple[Floats, Flags, Ints]:
+    """See `ray_lengths`: their lengths, whether they end at an oblique face, and their shells."""
     start, normal, face = _spread(*_mesh(solid), rays)
     clear = np.full(rays, CLEAR * float(np.linalg.norm(solid.high - solid.low)))
-    of = np.zeros(len(solid.surfaces), np.int64) if bodies is None else bodies
     body = np.repeat(of, [len(triangles) for triangles in solid.triangles])[face]
-    length = np.empty(rays)
+    length, slope = np.empty(rays), np.empty(rays)
     for k in np.unique(body):
         part, mine = solid.part(np.flatnonzero(of == k)), body == k
-        length[mine] = chords(part, start[mine], normal[mine], clear[mine])
-    return length[np.isfinite(length)]
+        center = 0.5 * (part.low + part.high)
+        length[mine], slope[mine] = _chords(
+            *_mesh(part), center, part.inside, start[mine], normal[mine], clear[mine]
+        )
+    met = np.isfinite(length)
+    return length[met], slope[met] < THICK_EDGE, _shells(solid)[face[met]]
+
+
+def _shells(solid: Solid) -> Ints:
+    """(T,) a number for each shell of the surfaces, of each triangle of `_mesh`."""
+    labels, count = [], 0
+    for surface in solid.surfaces:
+        labels.append(count + surface.welded.shell)
+        count += 1 + int(surface.welded.shell.max(initial=-1))
+    return np.concatenate(labels)
 
 
 def chords(solid: Solid, start: Floats, normal: Floats, clear: Floats) -> Floats:
@@ -82,7 +109,7 @@ def chords(solid: Solid, start: Floats, normal: Floats, clear: Floats) -> Floats
         unambiguous inside test.
     """
     center = 0.5 * (solid.low + solid.high)
-    return _chords(*_mesh(solid), center, solid.inside, start, normal, clear)
+    return _chords(*_mesh(solid), center, solid.inside, start, normal, clear)[0]
 
 
 def shell_chords(
@@ -95,7 +122,7 @@ def shell_chords(
     used, local = np.unique(faces, return_inverse=True)
     points, faces = points[used], np.ascontiguousarray(local.reshape(-1, 3), np.int64)
     center = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    return _chords(points, faces, center, Bounds(points, faces).inside, start, normal, clear)
+    return _chords(points, faces, center, Bounds(points, faces).inside, start, normal, clear)[0]
 
 
 def _chords(
@@ -106,10 +133,14 @@ def _chords(
     start: Floats,
     normal: Floats,
     clear: Floats,
-) -> Floats:
-    """See `chords`; contains : X (n, 3) [m] -> (n,) whether these points are inside."""
+) -> tuple[Floats, Floats]:
+    """See `chords`; second: (n,) the cosine of the angle between a ray and the normal of the face
+    where it ends, nan where the length is.
+
+    contains : X (n, 3) [m] -> (n,) whether these points are inside.
+    """
     points = points - center
-    length = np.full(len(start), np.nan)
+    length, slope = np.full((2, len(start)), np.nan)
     start, clear = start - center, clear[:, None]
     ahead, behind = (contains(start + side * clear * normal + center) for side in (1.0, -1.0))
     bounds = ahead != behind
@@ -121,12 +152,14 @@ def _chords(
     tree = igl.AABB()
     tree.init(scaled, faces)
     hits = [
-        sorted(unit * hit[1] for hit in row)
+        sorted((unit * hit[1], hit[0]) for hit in row)
         for row in tree.intersect_ray(scaled, faces, start / unit, inward)
     ]
     ends = np.full((len(hits), 1 + max(map(len, hits), default=0)), np.inf)
-    for row, found in zip(ends, hits):
-        row[: len(found)] = found
+    met = np.zeros(ends.shape, np.int64)  # the face of each
+    for row, face, found in zip(ends, met, hits):
+        row[: len(found)] = [at for at, _ in found]
+        face[: len(found)] = [number for _, number in found]
     with np.errstate(invalid="ignore"):  # of two that are not met
         gap = np.diff(ends, axis=1, append=np.inf)
     goes_on = gap <= clear  # two surfaces meet there
@@ -135,9 +168,16 @@ def _chords(
     probes = start[:, None, :] + middle[:, :, None] * inward[:, None, :]
     goes_on[ends_inside] = contains(probes[ends_inside] + center)
     last = np.argmin(goes_on, axis=1)
-    found = ends[np.arange(len(ends)), last] + clear[:, 0]
-    length[bounds] = np.where(np.isfinite(found), found, np.nan)
-    return length
+    rows = np.arange(len(ends))
+    found = ends[rows, last] + clear[:, 0]
+    left = np.isfinite(found)
+    length[bounds] = np.where(left, found, np.nan)
+    a, b, c = np.moveaxis(points[faces[met[rows, last]]], 1, 0)
+    across = cross(b - a, c - a)
+    along = np.abs(np.einsum("ij,ij->i", across, inward))
+    with np.errstate(invalid="ignore"):  # of those that meet nothing
+        slope[bounds] = np.where(left, along / np.linalg.norm(across, axis=1), np.nan)
+    return length, slope
 
 
 def _ray_unit(points: Floats, faces: Ints) -> float:
