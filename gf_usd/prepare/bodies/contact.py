@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from gf_usd.geometry.solid import Solid
     from gf_usd.system.sandbox import Limits
 
+MOST_NAMED = 3  # bodies in one obstacle that each have a note
+
 
 @dataclass(frozen=True, kw_only=True)
 class LimbPlan:
@@ -189,31 +191,52 @@ def penetration_notes(
 ) -> tuple[str, ...]:
     """Notes on bodies that have particles in an obstacle at the start.
 
-    free : direction up (3,) and unit [m] of the stage, where --drop lifts the only body by its
-        value: without a floor and pins.
+    Of more than `MOST_NAMED` bodies in one obstacle only the first is named.
+
+    free : direction up (3,) and unit [m] of the stage, where --drop lifts all bodies by its value:
+        without a floor and pins.
     """
     body, X = particles.body_of, particles.X + np.asarray(lift, float)
+    whole = np.bincount(body, minlength=bodies.count)
     notes = []
     for k, one in enumerate(setup.colliders):
-        met = [a for a in range(bodies.count) if (a, k) not in setup.through_colliders]
         count = np.bincount(body[_inside(one, X)], minlength=bodies.count)
-        for a in (a for a in met if count[a]):
-            whole = int((body == a).sum())
-            way = ""
-            if count[a] == whole:
-                way = ", or reverse the faces of the obstacle if it is a room around the body"
-            elif free is not None and one.shape != "plane":
-                up, unit = free
-                over = float((one.positions(0) @ up).max() - (particles.X @ up).min())
-                drop = (over + particles.spacing) / unit
-                step = 10.0 ** (np.floor(np.log10(drop)) - 1.0)  # two digits, rounded up
-                way = f", or use --drop {np.ceil(drop / step) * step:.3g} to start above it"
-            notes.append(
-                f"<{bodies.surfaces[a][0]}> starts with {count[a]} of {whole}"
-                f" particles inside the obstacle <{one.path}> and keeps this overlap until"
-                f" it moves away; move them apart in the asset{way}"
-            )
+        met = [a for a in range(bodies.count) if count[a] and (a, k) not in setup.through_colliders]
+        if not met:
+            continue
+        ways = ["move them apart in the asset"]
+        if one.shape != "plane" and (count[met] == whole[met]).all():
+            ways.append("reverse the faces of the obstacle if it is a room around the body")
+        elif free is not None and (drop := _drop_above(one, particles, *free)) is not None:
+            ways.append(f"use --drop {drop:.3g} to start above it")
+        way = ", or ".join(ways)
+        names = [
+            f"<{bodies.surfaces[a][0]}> starts with {count[a]} of {whole[a]} particles" for a in met
+        ]
+        keeps = f"inside the obstacle <{one.path}> and keeps this overlap until it moves away"
+        if len(met) > MOST_NAMED:
+            more = len(met) - 1
+            notes.append(f"{names[0]} {keeps}, and so do {more} more bodies; {way}")
+        else:
+            notes += [f"{name} {keeps}; {way}" for name in names]
     return tuple(notes)
+
+
+def _drop_above(obstacle: Collider, particles: Particles, up: Floats, unit: float) -> float | None:
+    """The --drop, in stage units, that lifts all particles above an obstacle; None: none does."""
+    points = obstacle.positions(0)
+    if obstacle.shape == "plane":
+        a, b, c = points[obstacle.triangles[0]]
+        normal = cross(b - a, c - a)
+        steep = float(normal @ up)
+        if steep <= 0.0:
+            return None
+        over = float(((a - particles.X) @ normal).max()) / steep
+    else:
+        over = float((points @ up).max() - (particles.X @ up).min())
+    drop = (over + particles.spacing) / unit
+    step = 10.0 ** (np.floor(np.log10(drop)) - 1.0)  # two digits, rounded up
+    return float(np.ceil(drop / step) * step)
 
 
 def _inside(obstacle: Collider, X: Floats) -> Ints:

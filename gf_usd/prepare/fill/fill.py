@@ -316,8 +316,8 @@ def _plan_contact(
         setup, turned = turned_to_bodies(limbs.contact_setup, particles, settings.lift)
         limbs = replace(limbs, contact_setup=setup)
         require_clear_start(asset.facts.path, particles, settings.lift, setup, inputs.unit)
-        alone = bodies.count == 1 and settings.floor is None and not constraints.pins
-        free = (np.asarray(asset.facts.up, float), inputs.unit) if alone else None
+        lifts = settings.floor is None and not constraints.pins
+        free = (np.asarray(asset.facts.up, float), inputs.unit) if lifts else None
         notes = (*turned, *penetration_notes(particles, settings.lift, setup, bodies, free))
     if not inputs.paper and request.solver != "ul":
         inputs.progress(LIMBS)

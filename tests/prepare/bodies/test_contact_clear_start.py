@@ -69,3 +69,39 @@ def test_the_note_on_what_starts_in_an_obstacle_names_a_drop_that_clears_it(plan
     floor = plan(stage, floor="-5", drop="6.25")
     assert noted(floor, "inside the obstacle </Block>")
     assert not noted(floor, "or use --drop"), "with a floor, the drop is from there"
+
+
+def bodies_below(count: int) -> str:
+    """A plane at a height of 0.5 and cubes: the first is half below it, and all others whole."""
+    at = (
+        "double3 xformOp:translate = ({}, {}, 0)\n"
+        'uniform token[] xformOpOrder = ["xformOp:translate"]'
+    )
+    ground = (
+        'def Plane "Ground" (\nprepend apiSchemas = ["PhysicsCollisionAPI"]\n)\n{\n'
+        f'uniform token axis = "Y"\n{at.format(0, 0.5)}\n}}\n'
+    )
+    cubes = [mesh(f"B{k}", at.format(3 * k, 0 if k == 0 else -3)) for k in range(count)]
+    return "".join(cubes) + ground
+
+
+def test_bodies_in_one_obstacle_share_a_note(plan) -> None:
+    """A robot at the origin of a stage with a ground had a line for each of its limbs."""
+    seen = plan(bodies_below(5), particles=2000)
+    (note,) = (note for note in seen.notes if "inside the obstacle" in note)
+    assert note.startswith("</B0> starts with ")
+    assert "inside the obstacle </Ground> and keeps this overlap" in note
+    assert "and so do 4 more bodies; move them apart in the asset, or use --drop" in note
+    few = plan(bodies_below(2), particles=2000)
+    assert sum("inside the obstacle" in note for note in few.notes) == 2
+
+
+def test_a_drop_lifts_all_bodies_above_a_plane(plan) -> None:
+    """A plane is no room, whatever is behind it."""
+    seen = plan(bodies_below(2), particles=2000)
+    notes = [note for note in seen.notes if "inside the obstacle" in note]
+    assert not any("room" in note for note in notes)
+    found = re.search(r"or use --drop ([\d.]+) to start above it$", notes[0])
+    assert found, notes[0]
+    assert 3.5 < float(found[1]) < 4.0, "the lowest is 3.5 below it"
+    assert not noted(plan(bodies_below(2), particles=2000, drop=found[1]), "inside the obstacle")
