@@ -169,6 +169,7 @@ class BodyPhysics:
     path: str  # Surface.path
     role: str = ""  # "" | static | kinematic | dynamic, as in UsdPhysics
     owner: str = ""  # the rigid or deformable body prim that it belongs to; empty: none
+    collider: bool = field(default=False, compare=False)  # it is an enabled collider itself
     collides: bool = True  # False: its own collision is disabled
     mass: float | None = None  # [kg] of all baked surfaces with the same mass_of together
     mass_of: str = ""  # the prim that states the mass

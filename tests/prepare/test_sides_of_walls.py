@@ -129,6 +129,19 @@ def test_two_that_face_outward_are_filled_with_a_hint(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_a_visible_collider_of_a_body_is_no_wall(tmp_path: Path) -> None:
+    """The visible mesh of a robot's link and its collider were called the sides of a wall."""
+    collider = '(prepend apiSchemas = ["PhysicsCollisionAPI"])'
+    link = ball("Seen", 0.95) + ball("Collider", 1.0, more=collider)
+    seen = seen_of(tmp_path, f'def Xform "Link" {RIGID}\n{{\n{link}\n}}\n')
+    assert not any("the two sides of a wall" in note for note in seen.notes)
+    (note,) = (note for note in seen.notes if "purpose guide" in note)
+    assert note.startswith(
+        "</Root/Link/Collider> is a collider of the body of </Root/Link/Seen> and about as large"
+    )
+
+
+@pytest.mark.slow
 def test_a_coarser_resolution_has_the_wall_too(tmp_path: Path) -> None:
     path = stage(tmp_path, ball("Outer", 1.0), ball("Inner", 0.8, inward=True))
     prepared = prepare(path, spacing=0.1, certify=True, output=tmp_path / "b.usda")

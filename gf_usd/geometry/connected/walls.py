@@ -37,6 +37,7 @@ class Walls:
 
     outer: Mapping[str, str] = field(default_factory=dict)  # of each inner side
     unclear: tuple[tuple[str, str], ...] = ()  # (inner, outer) of those that face otherwise
+    colliders: tuple[tuple[str, str], ...] = ()  # of (mesh, mesh that it stands in for)
 
     @property
     def embedded(self) -> tuple[tuple[str, str], ...]:
@@ -57,13 +58,25 @@ class Walls:
             for k, (inner, outer) in enumerate(list(self.outer.items())[:MOST_NOTED])
         )
         more = len(self.unclear) - MOST_NOTED
-        return joined + tuple(
+        doubled = tuple(
+            f"<{collider}> is a collider of the body of <{mesh}> and about as large"
+            + (
+                f" (and {len(self.colliders) - 1} more pairs are alike)"
+                if self.colliders[1:]
+                else ""
+            )
+            + ", and the volume of both is filled because both are visible. If it only stands in"
+            f" for <{mesh}> in collisions, give it the purpose guide"
+            for collider, mesh in self.colliders[:1]
+        )
+        unclear = tuple(
             f"<{inner}> is inside <{outer}>"
             + (f" (and {more} more pairs are alike)" if more > 0 and not k else "")
             + ", and the volume of both is filled. If they are the two sides of a wall, turn the"
             f" faces of <{outer}> outward and those of <{inner}> inward{ORIENTATION}"
             for k, (inner, outer) in enumerate(self.unclear[:MOST_NOTED])
         )
+        return (*joined, *doubled, *unclear)
 
     def with_parts(self, joined: Joined) -> tuple[Walls, Joined]:
         """The same with every mesh of a joined inner side, and the joined meshes that are none."""
@@ -75,10 +88,15 @@ class Walls:
         return replace(self, outer=outer), replace(joined, groups=left)
 
 
-def find_walls(asset: Asset, one_thing: Callable[[str, str], bool]) -> Walls:
+def find_walls(
+    asset: Asset,
+    one_thing: Callable[[str, str], bool],
+    collider_of: Callable[[str, str], str] | None = None,
+) -> Walls:
     """The walls among the surfaces of an asset, of consistent winding.
 
     one_thing : of two prim paths, whether they may be sides of one wall.
+    collider_of : of two prim paths, the one that collides for the other; "", or None: none.
     """
     own = [s for s in asset.surfaces if not s.skinned and s.splats is None]
     if len(own) < 2:
@@ -104,6 +122,7 @@ def find_walls(asset: Asset, one_thing: Callable[[str, str], bool]) -> Walls:
 
     found: dict[str, str] = {}
     unclear: list[tuple[str, str]] = []
+    colliders: list[tuple[str, str]] = []
     for k in np.flatnonzero(candidates.any(1)):
         if closed_triangles(own[k])[2]:
             continue
@@ -112,12 +131,16 @@ def find_walls(asset: Asset, one_thing: Callable[[str, str], bool]) -> Walls:
         host = next((int(h) for h in hosts if holds(int(h), int(k))), -1)
         if host < 0 or not candidates[k, host] or not one_thing(own[k].path, own[host].path):
             continue
-        if faces_in[k, host]:
+        pair = own[k].path, own[host].path
+        if collider_of and (collider := collider_of(*pair)):
+            colliders.append((collider, pair[1] if collider == pair[0] else pair[0]))
+        elif faces_in[k, host]:
             found[own[k].path] = own[host].path
         else:
-            unclear.append((own[k].path, own[host].path))
+            unclear.append(pair)
     # what is in a cavity is not the side of a wall
-    return Walls(outer=found, unclear=tuple(pair for pair in unclear if pair[1] not in found))
+    left = tuple(pair for pair in unclear if pair[1] not in found)
+    return Walls(outer=found, unclear=left, colliders=tuple(colliders))
 
 
 def _capped_volume(surface: Surface) -> float:

@@ -67,7 +67,7 @@ from gf_usd.prepare.fill.notes import (
     not_filled_notes,
     paper_notes,
 )
-from gf_usd.prepare.fill.parts import Parts, of_their_own, one_thing
+from gf_usd.prepare.fill.parts import Parts, collider_of, of_their_own, one_thing
 from gf_usd.prepare.fill.shot import Length, plan_length, plan_shot
 from gf_usd.prepare.materials.assign import Assigned
 from gf_usd.prepare.materials.densities import implausible_densities
@@ -123,6 +123,7 @@ def fill(
         paper=paper, parts=Parts(spec) if in_scene else None,
         flesh=request.flesh, known=known,
         one_thing=partial(one_thing, asset, spec) if in_scene else None,
+        collider_of=partial(collider_of, spec),
     )  # fmt: skip
     meshes = build(asset, built=built)
     source = CharacterFile(asset, file, request.start) if request.flesh and file else None

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 Volumes = Callable[[], Mapping[tuple[str, ...], float]]  # see `stated_spacing`
 ResolutionOf = Callable[[Volumes], "Resolution"]
+OfTwo = Callable[[str, str], str]  # of two prim paths the one that collides for the other
 OneThing = Callable[[str, str], bool]  # whether two prim paths may be sides of one wall
 WITH_FLESH = "meshes are not joined with --flesh"
 MERGE = "merge them into one mesh whose common points are welded"
@@ -77,6 +78,7 @@ def build_meshes(
     parts: Parts | None = None,
     flesh: bool = False,
     one_thing: OneThing | None = None,
+    collider_of: OfTwo | None = None,
     known: Sequence[Diagnosis] = (),
     built: Solid | None = None,
     unfilled: Mapping[str, str] | None = None,
@@ -87,6 +89,7 @@ def build_meshes(
     parts : which meshes may be parts of one (see `joined_surfaces`); None: all are filled by
         themselves, for --flesh if `flesh`.
     one_thing : see `find_walls`; None: no two meshes are sides of one wall.
+    collider_of : see `find_walls`.
     known : result of `diagnose` for the surfaces, if available.
     built : the solid without `repair`, if available.
     unfilled : see `build_solid`.
@@ -104,7 +107,7 @@ def build_meshes(
     joined = Joined(asset=oriented)
     if parts is not None:
         joined = joined_surfaces(oriented, parts.apart, parts.alike)
-    sides = find_walls(joined.asset, one_thing) if one_thing else Walls()
+    sides = find_walls(joined.asset, one_thing, collider_of) if one_thing else Walls()
     # a repair makes the winding consistent itself, and counts what it turns
     groups = joined.groups
     whole = with_walls(joined_alike(asset, joined) if repair else joined.asset, sides)

@@ -143,6 +143,18 @@ def one_thing(asset: Asset, spec: StageSpec, one: str, two: str) -> bool:
     return len(set(component.values())) == 1 and of(one) == of(two)
 
 
+def collider_of(spec: StageSpec, one: str, two: str) -> str:
+    """Of two meshes of a physics body the one that is a collider, where the other is none; or "".
+
+    Robots have both: what is seen of a link, and a simpler shape that collides for it.
+    """
+    bodies = [spec.bodies.get(path, BodyPhysics(path=path)) for path in (one, two)]
+    if not bodies[0].owner or bodies[0].owner != bodies[1].owner:
+        return ""
+    found = [body.path for body in bodies if body.collider]
+    return found[0] if len(found) == 1 else ""
+
+
 def of_their_own(spec: StageSpec) -> set[str]:
     """Paths of meshes with physics of their own, which one surface of several could not keep."""
     bodies = {

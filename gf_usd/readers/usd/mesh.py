@@ -13,7 +13,7 @@ from pxr import Kind, Usd, UsdGeom
 
 from gf_usd.core.arrays import Floats, Ints, cross
 from gf_usd.core.asset import Surface
-from gf_usd.core.errors import InputError
+from gf_usd.core.errors import InputError, counted
 from gf_usd.core.mesh.triangulation import triangulate
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.readers.mesh.divide.cages import cage_of, limit_surface
@@ -278,7 +278,7 @@ def _cloud(cloud: UsdGeom.Points, prim: Usd.Prim, reading: Reading) -> Polygons:
     wide = widths(prim, points, reading.time, reading.notes)
     around, triangles = cover(points, wide)
     reading.notes.add(
-        f"a surface was constructed around its {len(points)} points", str(prim.GetPath())
+        f"a surface was constructed around its {counted(len(points), 'point')}", str(prim.GetPath())
     )
     if cloud.GetPointsAttr().ValueMightBeTimeVarying():
         reading.notes.add(ANIMATED, str(prim.GetPath()))

@@ -82,6 +82,7 @@ def read_body(
         path=str(prim.GetPath()),
         role=what,
         owner=str(owner.GetPath()) if owner else "",
+        collider=is_collider(prim, time),
         collides=COLLISION not in apis(prim)
         or switch(prim, "physics:collisionEnabled", time, otherwise=True),
         mass=mass,

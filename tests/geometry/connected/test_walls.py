@@ -199,3 +199,11 @@ def test_every_mesh_of_an_inner_side_is_part_of_the_wall() -> None:
     found, left = find_walls(joined.asset, lambda one, two: True).with_parts(joined)
     assert dict(found.outer) == {"/High": "/Outer", "/Low": "/Outer"}
     assert left.groups == ()
+
+
+@pytest.mark.parametrize("inner", [INNER, turned(INNER)])
+def test_a_collider_is_no_side_of_a_wall_of_what_it_stands_in_for(inner: Surface) -> None:
+    found = find_walls(asset(OUTER, inner), lambda one, two: True, lambda one, two: OUTER.path)
+    assert found == Walls(colliders=((OUTER.path, inner.path),))
+    (note,) = found.notes
+    assert note.startswith(f"<{OUTER.path}> is a collider of the body of <{inner.path}>")
