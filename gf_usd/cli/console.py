@@ -129,10 +129,11 @@ def time_of(forecast: Mapping[str, Any]) -> str:
 
 
 def _note_line(plan: Plan, note: str) -> str:
-    """A note as a line; an implausible size is a warning, as in `inspect`."""
+    """A note as a line; an implausible size or density is a warning, as in `inspect`."""
     from gf_usd.prepare.asset_size import implausible_size
 
-    return f"{'warning' if note == implausible_size(plan.asset) else 'note'}: {note}"
+    odd = note in (implausible_size(plan.asset), plan.heavy)
+    return f"{'warning' if odd else 'note'}: {note}"
 
 
 def disk_of(forecast: Mapping[str, Any]) -> str:
@@ -352,7 +353,8 @@ def summarize(result: BakeResult, plan: Plan, spent: str) -> None:
         lines += [
             f"warning: {bake.variant}: {c.message} [{c.about}]\n  hint: {c.hint}"
             for c in bake.warnings
-            if not (c.about == COARSE and _is_noted(bake.health["outside_meshes"], plan))
+            if c.message not in plan.notes  # shown as warnings before the bake
+            and not (c.about == COARSE and _is_noted(bake.health["outside_meshes"], plan))
         ]
     lines += [
         f"check: {f['rule']} <{f['prim']}>: {f['message']}\n  fix: {f['fix']}"

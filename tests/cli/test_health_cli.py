@@ -27,6 +27,15 @@ def Material "Hard" ( prepend apiSchemas = ["PhysicsMaterialAPI"] )
 """
 
 
+def cube(edge: float) -> str:
+    """An OBJ file."""
+    corners = [(x, y, z) for x in (0.0, edge) for y in (0.0, edge) for z in (0.0, edge)]
+    faces = [(1, 2, 4, 3), (5, 7, 8, 6), (1, 5, 6, 2), (3, 4, 8, 7), (1, 3, 7, 5), (2, 6, 8, 4)]
+    lines = ["v {} {} {}".format(*p) for p in corners]
+    lines += ["f {} {} {} {}".format(*f) for f in faces]
+    return "\n".join(lines) + "\n"
+
+
 def test_an_unhealthy_bake_says_so_and_is_written(gf_usd, here: Path, block: Path) -> None:
     done = gf_usd("bake", block, *CRUSH, *HIGH)
     assert done.status == 0, done.err
@@ -160,17 +169,17 @@ def test_an_odd_size_is_reported(gf_usd, here: Path, block: Path) -> None:
     assert "warning: the asset is 30 m wide" not in done.out, "30 m is the limit"
     done = gf_usd("bake", block, *SMALL, "--meters-per-unit", "2", "--dry-run")
     assert "warning: the asset is 60 m wide: 30 units of 2 m" in done.out
+    (here / "tiny.obj").write_text(cube(0.01))
+    done = gf_usd("bake", "tiny.obj", *SMALL)
+    assert "warning: the asset is 0.01 m wide" in done.err
+    assert "the asset is 0.01 m wide" not in done.out, "again, after the bake"
     done = gf_usd("inspect", block, "--meters-per-unit", "40")
     assert "; 800 x 800 x 1200 m" in done.out
     assert "warning: the asset is 1200 m wide: 30 units of 40 m" in done.out
 
 
 def test_the_layer_of_a_mesh_file_is_listed(gf_usd, here: Path) -> None:
-    corners = [(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)]
-    faces = [(1, 2, 4, 3), (5, 7, 8, 6), (1, 5, 6, 2), (3, 4, 8, 7), (1, 3, 7, 5), (2, 6, 8, 4)]
-    lines = ["v {} {} {}".format(*p) for p in corners]
-    lines += ["f {} {} {} {}".format(*f) for f in faces]
-    (here / "box.obj").write_text("\n".join(lines) + "\n")
+    (here / "box.obj").write_text(cube(1.0))
     done = gf_usd("bake", "box.obj", *SMALL)
     assert done.status == 0, done.err
     listed = [line.split("  ")[0] for line in done.out.splitlines() if line.startswith("box.")]
