@@ -188,7 +188,8 @@ class MotionBoxes:
 
 def support_points(points: Floats) -> Floats:
     """Those of points (n, 3) that are farthest in one of DIRECTIONS: (k, 3), k <= DIRECTIONS."""
-    return points[np.unique((points @ _directions().T).argmax(axis=0))]
+    # The maximum along rows is 20 times as fast as along columns, for 4,000 points.
+    return points[np.unique((_directions() @ points.T).argmax(axis=1))]
 
 
 @cache
