@@ -12,6 +12,7 @@ from gf_usd.core.asset import StageFacts
 from gf_usd.core.errors import UsageError
 from gf_usd.core.frames.settings import Settings
 from gf_usd.core.units import StageUnits
+from gf_usd.prepare.fill.notes import rate_notes
 from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.options.texts import parse_drop
 from gf_usd.prepare.settings import (
@@ -134,6 +135,18 @@ def test_frames_of_playback_lie_time_codes_apart() -> None:
     s = settled(stage_facts=stage_facts)
     assert (s.fps, s.time_codes_per_second, s.time_code(1)) == (24.0, 48.0, 3.0)
     assert settled(stage_facts=stage_facts, fps=48.0).fps == 48.0
+
+
+def test_time_codes_that_are_hardly_frames_are_named() -> None:
+    """A stage with the step of its simulator, 1 ms, as the time code got 5,000 frames, 4 GB."""
+    stage_facts = facts(time_codes_per_second=1000.0)
+    (note,) = rate_notes(stage_facts, settled(stage_facts=stage_facts), None)
+    assert note.startswith("1000 frames per second are written, one for each time code")
+    assert note.endswith("--fps 24 writes fewer")
+    for fps, said in ((24.0, {}), (None, {"frames_per_second": 1000.0}), (None, {"codes": 48.0})):
+        codes = said.pop("codes", 1000.0)
+        other = facts(time_codes_per_second=codes, **said)
+        assert rate_notes(other, settled(stage_facts=other, fps=fps), fps) == ()
 
 
 @pytest.mark.parametrize(("codes", "frames", "step"), [(23.976, 23.976, 1), (59.94, 29.97, 2)])

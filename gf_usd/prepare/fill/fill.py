@@ -66,6 +66,7 @@ from gf_usd.prepare.fill.notes import (
     not_baked_notes,
     not_filled_notes,
     paper_notes,
+    rate_notes,
 )
 from gf_usd.prepare.fill.parts import Parts, collider_of, of_their_own, one_thing
 from gf_usd.prepare.fill.shot import Length, plan_length, plan_shot
@@ -188,6 +189,7 @@ def fill(
         *_ground_notes(inputs, scenery), *_asset_notes(asset, shot.animation),
         *(advised := advice_notes(advice)), *meshes.notes, *filled.count_notes, *flow_notes,
         *stage_notes, *_floor_notes(floating, asset, constraints.flesh.poses),
+        *rate_notes(asset.facts, settings, request.fps),
         *shot.notes, *length.notes, *constraints.attachment_notes, *goal_notes,
         *filled.resolution_notes, *filled.bodies.notes, *overlap_notes,
         *cages, *filter(None, (coarse,)), *unpinned,

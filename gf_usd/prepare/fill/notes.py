@@ -11,9 +11,11 @@ from gf_usd.core.materials.material import Material
 from gf_usd.prepare import paper as paper_options
 
 if TYPE_CHECKING:
+    from gf_usd.core.asset import StageFacts
     from gf_usd.core.stage import Advice
     from gf_usd.geometry.solid import Solid
 
+FAST = 120.0  # frames per second above which time codes are rarely meant to be frames
 MOST_NAMED = 3  # prims that each have a note of their own for the same reason
 
 
@@ -111,6 +113,20 @@ def by_reason(prims: Iterable[tuple[str, str]]) -> list[tuple[str, int, str]]:
         for reason, group in paths.items()
         for path in (group if len(group) <= MOST_NAMED else group[:1])
     ]
+
+
+def rate_notes(facts: StageFacts, settings: Settings, fps: float | None) -> tuple[str, ...]:
+    """A note where a file has so many time codes per second that they are hardly frames.
+
+    fps : of the command line; None: that of the file.
+    """
+    by_codes = settings.fps == facts.time_codes_per_second and facts.frames_per_second is None
+    if fps is not None or not by_codes or settings.fps <= FAST:
+        return ()
+    return (
+        f"{settings.fps:g} frames per second are written, one for each time code, because the file"
+        " states no framesPerSecond: --fps 24 writes fewer",
+    )
 
 
 def paper_notes(materials: Sequence[Material], each: Sequence[Settings]) -> tuple[str, ...]:
