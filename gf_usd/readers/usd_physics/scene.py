@@ -128,8 +128,9 @@ def note_joints(
             for end, body in zip(ends, bodies)
         ):
             notes.add(
-                "is a joint, and joints are not simulated: what it connects moves freely; --pin"
-                " holds regions in place, and the meshes below one RigidBodyAPI are one body",
+                "is a joint, and joints are not simulated: what it connects moves freely, unless"
+                " --combine, or one RigidBodyAPI above its meshes, makes it one body; --pin holds"
+                " regions in place",
                 str(prim.GetPath()),
             )
 

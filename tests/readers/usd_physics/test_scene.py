@@ -97,6 +97,7 @@ def test_a_joint_of_what_is_baked_is_named_as_not_simulated(write: Write, kind: 
     (note,) = physics.notes
     assert note.startswith(f"</Weld> {JOINT}")
     assert "--pin" in note
+    assert "--combine" in note
 
 
 def test_a_joint_connects_the_rigid_body_that_its_frame_is_in(write: Write) -> None:
