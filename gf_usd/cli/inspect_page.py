@@ -212,7 +212,8 @@ def _parts(console: Console, seen: Inspection) -> None:
     console.print(table)
     if len(parts) > MOST_PARTS:
         console.print(f"and {len(parts) - MOST_PARTS} more (--json lists all)")
-    console.print(f"such parts contain {poor_text(parts)}")
+    assert seen.plan is not None  # of which they are parts
+    console.print(f"such parts contain {poor_text(parts, len(seen.plan.particles))}")
 
 
 def _part(part: Part, unit: float) -> Sequence[str]:

@@ -172,7 +172,7 @@ def _poorly_filled(plan: Plan, solid: Solid) -> tuple[str, ...]:
         return ()
     parts = poor_parts_of(plan, solid)
     solid.release()
-    return tuple(filter(None, (poor_note(parts), specks_note(parts))))
+    return tuple(filter(None, (poor_note(parts, len(plan.particles)), specks_note(parts))))
 
 
 def poor_parts_of(plan: Plan, solid: Solid) -> tuple[Part, ...]:

@@ -18,6 +18,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats, triple
 from gf_usd.core.asset import StageFacts, authored_rate, first_time_code
 from gf_usd.core.errors import UsageError
+from gf_usd.core.frames.particles import times_as_long
 from gf_usd.core.frames.settings import CONSISTENT, LUMPED, MIXED, Field, Settings, written
 from gf_usd.core.materials.dimensionless import FILTER_RATE, G0, SHOT_LENGTH, time_scale
 from gf_usd.core.stage import StageSpec
@@ -35,7 +36,6 @@ DEFAULT_PARTICLES = 8000  # quality and time: a duck looks smooth and bakes in s
 ACROSS = 3.0
 FINEST = 4  # times as many at most, for thin parts
 SHORT = 0.98  # times ACROSS: from here on more particles would not be seen
-LONGER = 1.05  # times as long: less is not worth a note
 SAME = 1e-3  # relative: spacings that differ by less are one
 SENSIBLE = 2_000_000  # particles: more is no advice
 DEFAULT_FPS = 24.0
@@ -469,18 +469,18 @@ def by_thickness(volume: float, thick: Thickness | None) -> Resolution:
     if thick is None or wanted <= base:
         return Resolution(spacing=None, particles=base)
     count = int(np.ceil(min(wanted, FINEST * base)))
-    longer = (count / base) ** (4.0 / 3.0)
-    if longer < LONGER:
+    longer = times_as_long(count, base)
+    if not longer:
         return Resolution(spacing=None, particles=count)
     thin = f"5 % of the surface is at most {length_text(thick.thin)} thick"
-    time = f"take about {longer:.1f} times as long as {base}"
+    time = f"take {longer} as {base}"
     note = f"{thin}: {count} particles put {ACROSS:g} across it and {time}"
     across = thick.across(float(np.cbrt(volume / count)))
     if wanted > count and across < SHORT * ACROSS:
         digit = 10.0 ** (np.floor(np.log10(wanted)) - 1.0)
         more = int(np.ceil(wanted / digit) * digit)
         remedy = (
-            f"--particles {more} would put {ACROSS:g} across"
+            f"--particles {more} would put {ACROSS:g} across and take {times_as_long(more, count)}"
             if more <= SENSIBLE
             else f"{ACROSS:g} across would need more than {SENSIBLE} particles"
         )

@@ -337,7 +337,8 @@ def test_a_bake_names_thin_parts_as_an_inspection_does(stage):
     needed = inspect(path, **FEW).as_json()["suggested_particles"]
     (note,) = [one for one in prepare(path, **FEW).plan.notes if "few particles or none" in one]
     assert note.startswith("1 part contains")
-    assert f"; --particles {needed} would fill it (shell 0 of </Root/Rod>, 2 m large" in note
+    assert f"; --particles {needed} would fill it and take up to " in note
+    assert " times as long (shell 0 of </Root/Rod>, 2 m large" in note
 
 
 def test_a_bake_names_no_thin_parts_where_there_are_none(stage):

@@ -11,6 +11,19 @@ from numpy.typing import NDArray
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.materials.conversion import Conversion
 from gf_usd.core.materials.keys import ValueKeys
+from gf_usd.core.units import rounded_text
+
+NOTABLE = 1.05  # times as long: less is not worth a note
+
+
+def times_as_long(count: float, present: float) -> str:
+    """How much longer a bake with another number of particles takes, as text; "" if hardly so.
+
+    N^(4/3): N particles, and time steps proportional to the distance between them.  It is a bound:
+    start-up does not grow, frames grow as N, and more particles occupy more threads.
+    """
+    ratio = (count / present) ** (4.0 / 3.0)
+    return f"up to {rounded_text(ratio)} times as long" if ratio >= NOTABLE else ""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from gf_usd.core.errors import counted
+from gf_usd.core.frames.particles import times_as_long
 from gf_usd.core.units import length_text
 from gf_usd.geometry.thin.parts import WHOLE, Part, suggestion
 
 
-def poor_note(parts: Sequence[Part]) -> str:
+def poor_note(parts: Sequence[Part], particles: int) -> str:
     """A note on the poorly filled parts, the largest of which is the first; "" without any.
 
     Specks have a note of their own, `specks_note`.
+
+    particles : of the bake.
     """
     thin = [part for part in parts if not part.speck]
     if not thin:
@@ -20,18 +23,26 @@ def poor_note(parts: Sequence[Part]) -> str:
     one, more = thin[0], len(thin) > 1
     place = f"shell {one.shell}" if one.kind in WHOLE else "a region"
     where = f"{place} of <{one.path}>, {length_text(one.size)} large and {_thick(one)}"
-    what = f"contain {poor_text(thin)}" if more else f"contains {poor_text(thin, 'it')}"
+    them = "them" if more else "it"
+    what = f"contain{'' if more else 's'} {poor_text(thin, particles, them)}"
     return (
         f"{counted(len(thin), 'part')} {what}"
         f" ({'the largest: ' if more else ''}{where}; gf-usd inspect shows where)"
     )
 
 
-def poor_text(parts: Sequence[Part], them: str = "them") -> str:
-    """What is wrong with poorly filled parts, and the number of particles that fills `them`."""
+def poor_text(parts: Sequence[Part], particles: int, them: str = "them") -> str:
+    """What is wrong with poorly filled parts, and the number of particles that fills `them`, with
+    its cost.
+
+    particles : of the bake.
+    """
     needed = suggestion(tuple(parts))
     which = "all but the thinnest" if any(p.suggested is None for p in parts) else them
-    more = f"; --particles {needed} would fill {which}" if needed else ""
+    more = ""
+    if needed:
+        longer = times_as_long(needed, particles)
+        more = f"; --particles {needed} would fill {which}" + (f" and take {longer}" * bool(longer))
     return f"few particles or none, and may be too stiff{more}"
 
 

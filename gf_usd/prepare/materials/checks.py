@@ -11,7 +11,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Ints
 from gf_usd.core.errors import InputError, listed_paths
-from gf_usd.core.frames.particles import Particles
+from gf_usd.core.frames.particles import Particles, times_as_long
 from gf_usd.core.materials.laws import LAWS, stated_flow
 from gf_usd.core.materials.material import Material
 from gf_usd.core.materials.physical import PHYSICAL, PhysicalPreset
@@ -122,10 +122,10 @@ def unused_notes(
         for k, other in zip(empty.tolist(), around.tolist())
         if solid.surfaces[k].path in enclosed and not alike(material(k), material(other))
     ]
-    return (_unused_note(lost, particles.spacing, solid, unit),) if lost else ()
+    return (_unused_note(lost, particles, solid, unit),) if lost else ()
 
 
-def _unused_note(lost: Sequence[int], spacing: float, solid: Solid, unit: float) -> str:
+def _unused_note(lost: Sequence[int], particles: Particles, solid: Solid, unit: float) -> str:
     from gf_usd.geometry.thin.parts import SENSIBLE, filling_spacing
 
     surfaces = [(solid.surfaces[k].points, solid.triangles[k]) for k in lost]
@@ -137,13 +137,15 @@ def _unused_note(lost: Sequence[int], spacing: float, solid: Solid, unit: float)
     digits = 10.0 ** (np.floor(np.log10(needed / unit)) - 1.0)
     finer = np.floor(needed / unit / digits * (1.0 + 1e-9)) * digits
     count = solid.volume / (finer * unit) ** 3
-    way = f"--spacing {rounded_text(finer)} ({rounded_text(count)} particles)"
+    longer = times_as_long(count, len(particles))
+    cost = f"{rounded_text(count)} particles" + f", {longer}" * bool(longer)
+    way = f"--spacing {rounded_text(finer)} ({cost})"
     way = f"{way} fills {'it' if one else 'all of them'}"
     if count > SENSIBLE:
         way = f"make {'it' if one else 'them'} larger, since only {way}"
     return (
         f"{paths} {'has' if one else 'have'} no particle, so that the material of the mesh around"
-        f" is used there: too small for the spacing of {length_text(spacing)}; {way}"
+        f" is used there: too small for the spacing of {length_text(particles.spacing)}; {way}"
     )
 
 
