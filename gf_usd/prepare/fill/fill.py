@@ -38,6 +38,7 @@ from gf_usd.prepare.bodies.grounds import (
     without_room_parts,
     without_scenery,
 )
+from gf_usd.prepare.bodies.open_bodies import comes_off_notes, open_bodies, repaired_note
 from gf_usd.prepare.bodies.sampling import SampledBodies, spacing_of
 from gf_usd.prepare.bodies.velocities import start_velocities, unpinned_animation_notes
 from gf_usd.prepare.fill.bodies import fill_bodies
@@ -127,6 +128,16 @@ def fill(
         collider_of=partial(collider_of, spec),
     )  # fmt: skip
     meshes = build(asset, built=built)
+    held: tuple[str, ...] = ()
+    if in_scene and not repair and built is None:
+        found = open_bodies(meshes.asset, meshes.solid)
+        if any(one.largest for one in found):
+            plan, solid = fill(
+                asset, request, presets, law, files, file, spec=spec, repair=True, known=known,
+                more_pins=more_pins, progress=progress,
+            )  # fmt: skip
+            return replace(plan, notes=(repaired_note(found), *plan.notes)), solid
+        held = comes_off_notes(found)
     source = CharacterFile(asset, file, request.start) if request.flesh and file else None
     if source is not None:
         by_count = spacing_of(meshes.solid.volume, request.particles or DEFAULT_PARTICLES)
@@ -195,7 +206,7 @@ def fill(
         *cages, *filter(None, (coarse,)), *unpinned,
         *filled.character_notes, *constraints.flesh.notes, *limbs.notes, *materials.notes,
         *softness, *length.physics.notes,
-        *not_filled_notes(solid, constraints.flesh.sheets, joined_to),
+        *held, *not_filled_notes(solid, constraints.flesh.sheets, joined_to),
         *not_baked_notes(asset.skipped), *SKIN_NOTES.get(settings.skin, ()),
         *paper_notes(materials.main, each), *split_notes,
         *no_internals_notes(materials.main, settings),
