@@ -40,7 +40,7 @@ def poor_text(parts: Sequence[Part], particles: int, them: str = "them") -> str:
     needed = suggestion(tuple(parts))
     which = "all but the thinnest" if any(p.suggested is None for p in parts) else them
     more = ""
-    if needed:
+    if needed and needed > particles:
         longer = times_as_long(needed, particles)
         more = f"; --particles {needed} would fill {which}" + (f" and take {longer}" * bool(longer))
     return f"few particles or none, and may be too stiff{more}"

@@ -24,7 +24,7 @@ from gf_usd.core.neighbors import components, kd_tree
 from gf_usd.geometry import winding
 from gf_usd.geometry.solid import Bounds, Solid
 from gf_usd.geometry.surface import Nearest, nearest
-from gf_usd.geometry.thin.thickness import chords, shell_chords, spread
+from gf_usd.geometry.thin.thickness import chords, gaps, shell_chords, spread
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
@@ -40,6 +40,7 @@ THIN = 0.75  # [spacings] a thinner wall has no particles in more than a quarter
 BARE, CLEARLY_BARE = 1.5, 2.0  # [spacings]
 PLATE = 4.0  # [spacings] area over length from which a region is a strip, not just an edge
 STEPS = 4  # inward sample points
+AHEAD = 0.01  # [spacings] from which a ray starts ahead of its triangle
 OFF_EDGE = 0.01  # of the way to the centroid of a triangle
 RAYS = 64  # of a part, for its thickness
 CLEAR_OF_WALL = 0.05  # [walls] offset from its surface for an unambiguous inside test
@@ -290,7 +291,11 @@ def _poor_regions(
     at = nearest(solid, samples.X)
     X = _off_edges(solid, samples.X, at)
     side = np.sign(((particles.X[closest] - X) * at.normal).sum(axis=1))
-    poor = np.flatnonzero((distance > BARE * s) | _thin(solid, X, at.normal, side, s))
+    bare = distance > BARE * s
+    poor = np.flatnonzero(bare | _thin(solid, X, at.normal, side, s))
+    ends = _solid_ends(solid, X[poor], at.normal[poor], s)
+    kept = bare[poor] | ends
+    poor, ends = poor[kept], ends[kept]
     if len(poor) == 0:
         return []
     moved, normal = X[poor], at.normal[poor]
@@ -314,13 +319,19 @@ def _poor_regions(
     for k, rows in enumerate(winding.rows_of(region)):
         low, high = X[rows].min(0), X[rows].max(0)
         plate = area[rows].sum() / max(float(np.linalg.norm(high - low)), s)
-        bare = distance[poor[rows]].max() > CLEARLY_BARE * s
+        # a sheet of an open mesh, which no number of particles fills, counts only where it is wide
+        sheet = 2 * np.count_nonzero(ends[rows]) < len(rows)
+        clearly = distance[poor[rows]].max() > CLEARLY_BARE * s and not sheet
         if (int(owner[rows[0]]), int(shell[rows[0]])) in settled or (
-            plate < PLATE * s and not bare
+            plate < PLATE * s and not clearly
         ):
             continue
-        volume = _volume_where(solid, low - s, high + s, lambda P, k=k: home[tree.query(P)[1]] == k)
-        wall = float(2.0 * volume / area[rows].sum())
+        wall = 0.0
+        if not sheet:
+            volume = _volume_where(
+                solid, low - s, high + s, lambda P, k=k: home[tree.query(P)[1]] == k
+            )
+            wall = float(2.0 * volume / area[rows].sum())
         some = rows[:: max(1, len(rows) // RAYS)]
         found.append(
             Part(
@@ -397,6 +408,17 @@ def _thin(solid: Solid, X: Floats, normal: Floats, side: Floats, spacing: float)
     rows = np.flatnonzero(thin)
     thin[rows] = ~reaches(rows, -first[rows])
     return thin
+
+
+def _solid_ends(solid: Solid, X: Floats, normal: Floats, spacing: float) -> winding.Flags:
+    """(n,) True where the solid ends at another surface within `THIN` spacings of its points X.
+
+    Beside a hole it may also end where the winding number falls below one half, however thick it is
+    there.  In closed surfaces it cannot.
+    """
+    if not len(X) or not any(len(surface.welded.boundary) for surface in solid.surfaces):
+        return np.ones(len(X), bool)
+    return gaps(solid, X, normal, AHEAD * spacing) <= THIN * spacing
 
 
 def _volume_where(

@@ -180,6 +180,27 @@ def _chords(
     return length, slope
 
 
+def gaps(solid: Solid, start: Floats, normal: Floats, clear: float) -> Floats:
+    """(n,) [m] distance from points (n, 3) on the surface to the nearest other surface along either
+    direction of the normal; inf: there is none.
+
+    normal : (n, 3) unit; clear : [m] of the surface: hits nearer than that are of its own triangle.
+    """
+    points, faces = _mesh(solid)
+    center = 0.5 * (solid.low + solid.high)
+    unit = _ray_unit(points, faces)
+    tree = igl.AABB()
+    tree.init((points - center) / unit, faces)
+    out = np.full(len(start), np.inf)
+    for way in (normal, -normal):
+        rows = tree.intersect_ray(
+            (points - center) / unit, faces, (start + clear * way - center) / unit, way
+        )
+        hits = [min((unit * hit[1] for hit in row), default=np.inf) for row in rows]
+        out = np.minimum(out, np.array(hits) + clear)
+    return out
+
+
 def _ray_unit(points: Floats, faces: Ints) -> float:
     """A length [m] in which triangles are large enough for the ray test of libigl.
 

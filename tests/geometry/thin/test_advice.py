@@ -47,6 +47,10 @@ def test_a_number_that_takes_no_longer_has_no_cost():
     assert "--particles 9000 would fill it (shell" in poor_note((ROD,), 8900)
 
 
+def test_a_number_that_a_bake_has_is_not_suggested():
+    assert "--particles" not in poor_note((ROD,), 9000)
+
+
 def test_specks_are_no_parts_that_are_too_stiff():
     assert poor_note((SPECK,), 4500) == ""
     assert specks_note((ROD, SPECK)).startswith("1 speck, 50 cm large, is apart from the rest")

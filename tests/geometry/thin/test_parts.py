@@ -7,6 +7,7 @@ import pytest
 import trimesh
 from solids import cube, fill, solid, sphere, surface
 
+from gf_usd.geometry.solid import OPEN_FRACTION, hole_fraction
 from gf_usd.geometry.thin.parts import FEW, poor_parts, suggestion
 from gf_usd.readers import read_asset
 
@@ -126,6 +127,40 @@ def test_a_thin_region_of_a_filled_shell_is_found():
     # The brim runs around from 1 to 2.5; samples lie within two spacings, 0.4, of its rim.
     np.testing.assert_allclose(np.sort(brim.high - brim.low), [0.12, 5.0, 5.0], atol=0.4)
     assert parts_of(hat(), particles=brim.suggested) == ()
+
+
+def open_can(flange, height=2.0):
+    """A can of radius 1 m without a lid, with a flange of a single sheet; lengths in m."""
+    profile = [[x, 0.0] for x in np.linspace(0.0, 1.0, 11)]
+    profile += [[1.0, y] for y in np.linspace(0.1, height, 20)]
+    profile += [[1.0 + flange, height]]
+    mesh = trimesh.creation.revolve(np.array(profile), sections=48)
+    return surface(mesh.vertices, mesh.faces)
+
+
+def test_a_region_beside_a_hole_is_not_thin():
+    """The fill ends there although there is no other side, and 4600 particles were to fill it."""
+    can = open_can(0.2)
+    assert 0.2 < hole_fraction(can.points, can.welded.triangles) < OPEN_FRACTION
+    assert parts_of(can, particles=2000) == ()
+
+
+def test_a_wide_sheet_of_an_open_mesh_is_a_part_that_no_number_fills():
+    (sheet,) = parts_of(open_can(0.8, 4.0), particles=1000)
+    assert (sheet.kind, sheet.suggested, sheet.loose) == ("bare region", None, True)
+    assert sheet.size > 2.0
+
+
+def test_a_thin_region_of_an_open_mesh_is_found():
+    """A brim, as that of a hat without a hole."""
+    whole = hat()
+    middle = whole.points[whole.triangles].mean(1)
+    worn = surface(whole.points, whole.triangles[middle[:, 2] > -0.6], "/Hat")
+    assert len(worn.welded.boundary)
+    (brim,) = parts_of(worn, particles=500)
+    assert brim.kind == "thin region"
+    assert brim.suggested is not None
+    assert brim.size > 5.0
 
 
 def test_the_end_of_a_spike_is_found():
