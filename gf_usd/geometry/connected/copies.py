@@ -18,6 +18,7 @@ separated from it, nor are shells that touch.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 import igl
@@ -216,22 +217,21 @@ def _touching(rows: Patches, first: Ints, in_cell: Ints, several: Ints, reach: f
     shell = skins.shell[rows.triangle[first]]
     patch = np.flatnonzero(several[in_cell])
     groups = np.unique(np.stack([in_cell[patch], shell[patch], patch], 1), axis=0)
-    # One patch of each shell per cell, in all pairs.
-    one = groups[np.unique(groups[:, :2], axis=0, return_index=True)[1]]
-    cells, count = np.unique(one[:, 0], return_counts=True)
+    # The patches of each shell in a cell, in order of cells and shells.
+    first_of = np.unique(groups[:, :2], axis=0, return_index=True)[1]
+    patches = np.split(groups[:, 2], first_of[1:])
+    _, start, count = np.unique(groups[first_of, 0], return_index=True, return_counts=True)
+    shells = groups[first_of, 1].tolist()
     ends: list[tuple[int, int]] = []
     met: dict[tuple[int, int], bool] = {}
-    for cell in cells[count > 1]:
-        mine = one[one[:, 0] == cell]
-        for i in range(len(mine)):
-            for j in range(i + 1, len(mine)):
-                pair = (int(mine[i, 1]), int(mine[j, 1]))
-                if pair not in met:
-                    met[pair] = len(met) >= MOST_SHELLS or _meet(skins, *pair, reach)
-                if met[pair]:
-                    a = groups[(groups[:, 0] == cell) & (groups[:, 1] == pair[0]), 2]
-                    b = groups[(groups[:, 0] == cell) & (groups[:, 1] == pair[1]), 2]
-                    ends += [(int(p), int(b[0])) for p in a] + [(int(a[0]), int(q)) for q in b]
+    for k in np.flatnonzero(count > 1):
+        for i, j in combinations(range(start[k], start[k] + count[k]), 2):
+            pair = shells[i], shells[j]
+            if pair not in met:
+                met[pair] = len(met) >= MOST_SHELLS or _meet(skins, *pair, reach)
+            if met[pair]:
+                a, b = patches[i].tolist(), patches[j].tolist()
+                ends += [(p, b[0]) for p in a] + [(a[0], q) for q in b]
     return np.array(ends, np.int64).reshape(-1, 2)
 
 

@@ -237,11 +237,14 @@ def _thin_once(points: Floats, radius: float) -> Ints:
     first = np.unique(first_equal(cell))
     few = points[first]
     pairs = kd_tree(few).query_pairs(radius, output_type="ndarray")
-    pairs = pairs[np.argsort(pairs[:, 1], kind="stable")]
-    start = np.searchsorted(pairs[:, 1], np.arange(len(few) + 1))
-    lower = pairs[:, 0]
-    kept = np.ones(len(few), bool)
+    pairs = pairs[np.argsort(pairs[:, 0], kind="stable")]
+    start = np.searchsorted(pairs[:, 0], np.arange(len(few) + 1)).tolist()
+    later = pairs[:, 1].tolist()
+    # In order: each point that is left drops those after it.  A loop over lists takes 0.6 times as
+    # long as one over slices of arrays (measured).
+    kept = bytearray(b"\1") * len(few)
     for i in range(len(few)):
-        if start[i] < start[i + 1]:
-            kept[i] = not kept[lower[start[i] : start[i + 1]]].any()
-    return first[kept]
+        if kept[i]:
+            for j in later[start[i] : start[i + 1]]:
+                kept[j] = 0
+    return first[np.frombuffer(kept, bool)]

@@ -29,6 +29,7 @@ MANY = 0.76  # of a full cell: content above which a cell has eight points, else
 TURNS = 48  # rotations that are tried
 VOID = 10  # penalty of a point outside the solid; that of one outside its cell is 1
 WORST = np.iinfo(np.int64).max
+MANY_POINTS, AT_ONCE = 20_000, 2  # points from which each trial is first tested by some: how many
 EDGE = 1e-9  # [cells] tolerance of the test for points in their cell
 
 CUBE = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
@@ -112,14 +113,12 @@ def moment_points(
                 trials.append((number, rules[number], np.flatnonzero(left & keeps)))
         places = [mean[r, None] + np.einsum("nab,kb->nka", root[r], v) for _, v, r in trials]
         owner = np.concatenate([np.repeat(r, len(v)) for _, v, r in trials])
-        within = inside(owner, np.concatenate([place.reshape(-1, 3) for place in places]))
-        ends = np.cumsum([place.shape[0] * place.shape[1] for place in places])
-        for (number, rule, rows), place, mine in zip(trials, places, np.split(within, ends[:-1])):
-            low, high = reach[0][rows, None] - EDGE, reach[1][rows, None] + EDGE
-            out_of_cell = ~((place >= low) & (place <= high)).all(2)
-            out_of_solid = ~mine.reshape(len(rows), len(rule))
-            # One point outside the solid is worse than all points in neighboring cells.
-            wrong = VOID * out_of_solid.sum(1) + out_of_cell.sum(1)
+        place = np.concatenate([one.reshape(-1, 3) for one in places])
+        sizes = np.concatenate([np.full(len(r), len(v)) for _, v, r in trials])
+        most = best[np.concatenate([r for _, _, r in trials])]
+        penalty = _penalties(place, owner, sizes, reach, inside, most)
+        ends = np.cumsum([len(rows) for _, _, rows in trials])
+        for (number, _, rows), wrong in zip(trials, np.split(penalty, ends[:-1])):
             better = wrong < best[rows]
             best[rows[better]] = wrong[better]
             chosen[rows[better]] = number
@@ -140,6 +139,37 @@ def moment_points(
         volume=volume[order],
         outside=best // VOID,
     )
+
+
+def _penalties(
+    place: Floats,
+    owner: Ints,
+    sizes: Ints,
+    reach: tuple[Floats, Floats],
+    inside: Callable[[Ints, Floats], Flags],
+    most: Ints,
+) -> Ints:
+    """(k,) penalties of trials; WORST where one is found to be at least `most` (k,).
+
+    One point outside the solid is worse than all points in neighboring cells.  Trials that cannot
+    be better are not tested further: of 886,000 points of 1,800 open shells 547,000 are (measured).
+
+    place, owner : (m, 3) and (m,) points of the trials, and their cells; sizes : (k,) points of
+        each; reach, inside : see `moment_points`.
+    """
+    trial = np.repeat(np.arange(len(sizes)), sizes)
+    turn = np.arange(len(trial)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+    low, high = reach[0][owner] - EDGE, reach[1][owner] + EDGE
+    outer = np.bincount(trial, ~((place >= low) & (place <= high)).all(1), len(sizes)).astype(int)
+    penalty = outer.copy()
+    longest = int(sizes.max(initial=0))
+    step = AT_ONCE if len(trial) > MANY_POINTS else longest
+    for first, end in ((0, step), (step, longest)):
+        left = np.flatnonzero((penalty < most)[trial] & (turn >= first) & (turn < end))
+        if len(left):
+            void = ~inside(owner[left], place[left])
+            penalty += VOID * np.bincount(trial[left], void, len(sizes)).astype(int)
+    return np.where(penalty < most, penalty, WORST)
 
 
 def covariance(moments: Floats) -> tuple[Floats, Floats]:

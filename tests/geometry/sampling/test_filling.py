@@ -9,7 +9,9 @@ from mesh_moments import BODIES, of_mesh, slanted
 from scipy.spatial import cKDTree
 from solids import cube, joined, solid, sphere, surface
 
+from gf_usd.geometry.sampling import rules
 from gf_usd.geometry.sampling.contact_samples import sample_surface
+from gf_usd.geometry.sampling.content import POWERS
 from gf_usd.geometry.sampling.filling import SLIVER, flipped, moved
 from gf_usd.geometry.sampling.mirror import mirror_axes
 from gf_usd.geometry.sampling.particles import sample_solid
@@ -155,3 +157,33 @@ def test_moments_move_and_flip_as_those_of_points_do():
 
     np.testing.assert_allclose(moved(of(X), by), of(X + by), rtol=1e-12)
     np.testing.assert_allclose(flipped(of(X)[None], 1)[0], of(X * [1, -1, 1]), rtol=1e-12)
+
+
+def test_points_do_not_depend_on_how_many_are_tested_at_once(monkeypatch) -> None:
+    """Cells around balls, some of which no rule avoids; many points are tested in two steps."""
+    n = 40
+    radius = np.linspace(0.8, 1.4, n)
+    content = np.zeros((n, 10))
+    grid = (
+        np.stack(np.meshgrid(*[np.arange(20)] * 3, indexing="ij"), -1).reshape(-1, 3) + 0.5
+    ) / 20
+    held = (np.linalg.norm(grid - 0.5, axis=1) > 0.5 * radius[:, None]) & (grid[:, 0] < 0.9)
+    for k, (a, b, c) in enumerate(POWERS):
+        values = np.prod((grid - 0.5) ** np.array([a, b, c]), axis=1)
+        content[:, k] = held @ values / len(grid)
+    reach = np.full((n, 3), -0.5), np.full((n, 3), 0.5)
+    made, tested = [], []
+    for least in (0, 10**9):
+        monkeypatch.setattr(rules, "MANY_POINTS", least)
+        counts = []
+
+        def inside(cells, place, counts=counts):
+            counts.append(len(cells))
+            return (np.linalg.norm(place, axis=1) > 0.5 * radius[cells]) & (place[:, 0] < 0.4)
+
+        made.append(rules.moment_points(content, reach, np.zeros((n, 3), bool), inside))
+        tested.append(sum(counts))
+    assert tested[0] < tested[1]
+    assert made[0].outside.any()
+    for name in ("cell", "place", "volume", "outside"):
+        assert np.array_equal(getattr(made[0], name), getattr(made[1], name))
