@@ -22,7 +22,7 @@ from gf_usd.core.errors import InputError
 from gf_usd.core.mesh.measures import areas
 from gf_usd.core.mesh.topology import Welded, boundary_edges
 from gf_usd.core.neighbors import components
-from gf_usd.geometry.winding import enclosing_parts, volumes, winding_hierarchy
+from gf_usd.geometry.winding import boundary_loops, enclosing_parts, volumes, winding_hierarchy
 
 OPEN_FRACTION = 0.25  # share of holes in the closed area above which a surface has no inside
 FLAT_FRACTION = 1e-4  # volume below this share of (area)^(3/2): flat
@@ -109,6 +109,9 @@ class Solid:
     _thickness: dict[tuple[int, bytes], Any] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
+    _rings: dict[int, list[Ints]] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     @property
     def filled(self) -> dict[str, int]:
@@ -170,6 +173,17 @@ class Solid:
         """Free the hierarchies of large surfaces after the last of many queries."""
         for one in self.bounds:
             one.release()
+
+    def rings(self, index: int) -> list[Ints]:
+        """The rims of the holes of a surface as closed rings of points, in the direction in which
+        a triangle that closes one passes its edges.
+        """
+        if index not in self._rings:
+            edges, corner = self.surfaces[index].welded.edges, self.triangles[index].reshape(-1)
+            loops = boundary_loops(edges)[0] if len(edges.boundary) else []
+            # adjacent triangles traverse their common edge in opposite directions
+            self._rings[index] = [corner[loop[::-1]] for loop in loops]
+        return self._rings[index]
 
     def part(self, members: Ints) -> Solid:
         """The solid of some of the surfaces; its volume is not known (nan) unless they are all."""

@@ -16,6 +16,7 @@ from gf_usd.core.arrays import corners as outermost
 from gf_usd.core.frames.particles import SurfaceSamples
 from gf_usd.core.mesh.topology import first_equal, used_points
 from gf_usd.core.neighbors import kd_tree
+from gf_usd.geometry.sampling.holes import capped
 from gf_usd.geometry.sampling.mirror import SAME, mirror_axes
 from gf_usd.geometry.sampling.particles import TURNS
 from gf_usd.geometry.sampling.pieces import cut_along
@@ -44,9 +45,10 @@ def sample_surface(
 ) -> SurfaceSamples:
     """Contact samples about a spacing [m] apart; corners of a coarse mesh are among them.
 
-    Candidates are the vertices, then points distributed by area.  The samples are a maximal subset
-    of them with distances of at least 0.7 spacings.  The two walls of a narrow gap are sampled
-    independently.  The area of a sample is the sum over the candidates nearest to it.
+    Candidates are the vertices, then points distributed by area, also on the caps of holes
+    (`holes`).  The samples are a maximal subset of them with distances of at least 0.7 spacings.
+    The two walls of a narrow gap are sampled independently.  The area of a sample is the sum over
+    the candidates nearest to it.
 
     bodies : (S,) the body of each surface, each sampled by itself; None: all are one.
     """
@@ -54,8 +56,15 @@ def sample_surface(
     turn = TURNS[up]
     kept: list[tuple[Floats, Floats, Floats]] = []
     for k in range(int(body.max()) + 1):
-        members = [solid.outward(int(s)) for s in np.flatnonzero(body == k)]
-        kept.append(_sample_body([(p @ turn.T, t) for p, t in members], spacing))
+        members = np.flatnonzero(body == k)
+        own, whole = (
+            [(p @ turn.T, t) for p, t in parts]
+            for parts in (
+                [solid.outward(int(s)) for s in members],
+                [capped(solid, int(s), members, spacing) for s in members],
+            )
+        )
+        kept.append(_sample_body(own, whole, spacing))
     X, area, normal = (np.concatenate(part) for part in zip(*kept))
     of = np.repeat(np.arange(len(kept)), [len(part[0]) for part in kept])
     return SurfaceSamples(
@@ -64,18 +73,21 @@ def sample_surface(
 
 
 def _sample_body(
-    surfaces: Sequence[tuple[Floats, Ints]], spacing: float
+    own: Sequence[tuple[Floats, Ints]], surfaces: Sequence[tuple[Floats, Ints]], spacing: float
 ) -> tuple[Floats, Floats, Floats]:
     """Positions (n, 3) [m], areas (n,) [m^2] and normals (n, 3) of the samples of a body.
 
-    surfaces : points and triangles of each.  Of a symmetric body one half is sampled, with points
-    on the mirror plane itself.  Candidates so near to the plane that they would exclude their own
-    mirror images come last: they are needed where the body is that thin.
+    own, surfaces : points and triangles of each; the same with caps, which are not considered for
+    symmetry.
+
+    Of a symmetric body one half is sampled, with points on the mirror plane itself.  Candidates so
+    near to the plane that they would exclude their own mirror images come last: they are needed
+    where the body is that thin.
     """
     ends = np.array([outermost(p[used_points(t)[0]]) for p, t in surfaces])
     low, high = ends[:, 0].min(0), ends[:, 1].max(0)
     middle, size = 0.5 * (low + high), float(np.linalg.norm(high - low))
-    mirrored = np.flatnonzero(mirror_axes(surfaces, ALIKE * spacing))
+    mirrored = np.flatnonzero(mirror_axes(own, ALIKE * spacing))
     radius = EXCLUDED * spacing
     corners, vertices = [], []
     for points, triangles in surfaces:

@@ -27,6 +27,7 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import InputError
 from gf_usd.core.mesh.measures import signed_volume
 from gf_usd.core.units import length_text
+from gf_usd.geometry.sampling.holes import capped
 from gf_usd.geometry.sampling.pieces import POINTS, WEIGHTS, cut
 from gf_usd.geometry.solid import INSIDE, Solid, spread_evenly
 from gf_usd.geometry.winding import rows_of
@@ -48,6 +49,7 @@ NOTHING = 1e-12  # [cells] volume below which a cell counts as empty
 PROBES = (64, 512)  # least and greatest number of sample points per cell
 MOST_PROBES = 200_000  # sample points in all cells
 MOST_CELLS = 50_000_000  # as the limit on particles: with more, the spacing is a mistake
+SPACING_PER_CELL = 0.5  # least spacing of particles in a grid of cells, in cells
 BATCH = 1 << 18  # sample points at a time: bounds memory
 
 
@@ -140,7 +142,8 @@ class _SurfaceContent:
 
 def _of_surface(solid: Solid, index: int, grid: Grid) -> _SurfaceContent:
     """The cells that a surface cuts, and the enclosed ones, which follow from these."""
-    points, triangles = solid.outward(index)
+    # cells that a cap cuts are filled in part
+    points, triangles = capped(solid, index, np.array([index]), SPACING_PER_CELL * grid.h)
     pieces = cut(grid.to_cells(points)[triangles])
     if not len(pieces.source):  # all are too small to be seen
         none = np.zeros(0, np.int64)
@@ -157,6 +160,7 @@ def _of_surface(solid: Solid, index: int, grid: Grid) -> _SurfaceContent:
     w, gaps = _along_columns(grid, key, _summed(place, integrals, len(key)))
     faces = _face_areas(grid.ijk(key), -_summed(place, vector, len(key)))
     closed, shell = solid.surfaces[index].welded.balanced, solid.surfaces[index].welded.shell
+    shell = np.pad(shell, (0, len(triangles) - len(shell)))  # any for caps: nothing is exact there
     of = shell[pieces.source]  # shell of each piece
     lowest = np.full(len(key), len(pieces.source))
     np.minimum.at(lowest, place, of)

@@ -79,12 +79,18 @@ LONGEST = 1.5
 
 
 def skins(solid: Solid, of: Ints, spacing: float = np.inf) -> tuple[Skin, ...]:
-    """The surface of each body, facing outward, with edges of at most LONGEST spacings [m]."""
+    """The surface of each body, facing outward, with edges of at most LONGEST spacings [m], and
+    with caps over its holes where the spacing is given.
+    """
+    from gf_usd.geometry.sampling.holes import capped
+
     out = []
     for body in range(int(of.max()) + 1):
         points, triangles, first = [], [], 0
-        for s in np.flatnonzero(of == body):
-            p, t = solid.outward(int(s))
+        members = np.flatnonzero(of == body)
+        for s in members.tolist():
+            known = np.isfinite(spacing)
+            p, t = capped(solid, s, members, spacing) if known else solid.outward(s)
             points.append(p)
             triangles.append(t + first)
             first += len(p)
