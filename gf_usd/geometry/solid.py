@@ -20,7 +20,7 @@ from gf_usd.core.arrays import Floats, Ints, cross
 from gf_usd.core.asset import Asset, Surface
 from gf_usd.core.errors import InputError
 from gf_usd.core.mesh.measures import areas
-from gf_usd.core.mesh.topology import Welded, boundary_edges
+from gf_usd.core.mesh.topology import Edges, Welded, boundary_edges
 from gf_usd.core.neighbors import components
 from gf_usd.geometry.winding import boundary_loops, enclosing_parts, volumes, winding_hierarchy
 
@@ -179,10 +179,11 @@ class Solid:
         a triangle that closes one passes its edges.
         """
         if index not in self._rings:
-            edges, corner = self.surfaces[index].welded.edges, self.triangles[index].reshape(-1)
-            loops = boundary_loops(edges)[0] if len(edges.boundary) else []
+            triangles = self.triangles[index]
+            has_holes = len(self.surfaces[index].welded.boundary) > 0
+            loops = boundary_loops(Edges.of(triangles))[0] if has_holes else []
             # adjacent triangles traverse their common edge in opposite directions
-            self._rings[index] = [corner[loop[::-1]] for loop in loops]
+            self._rings[index] = [triangles.reshape(-1)[loop[::-1]] for loop in loops]
         return self._rings[index]
 
     def part(self, members: Ints) -> Solid:
