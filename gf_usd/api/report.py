@@ -83,18 +83,20 @@ def report(
 def write(path: Path, target: Path, variant: str | None, vertices: int, frames: int) -> None:
     """Write the page of a bake, all its variants or one; see `report`."""
     # pxr and taichi take a second to import, which --help must not wait for
+    from gf_usd.readers.pictures.obstacles import Read
     from gf_usd.readers.pictures.recording import BakedMotion
     from gf_usd.system.atomic_files import publish_text
     from gf_usd.view.report.record import load_report, report_path
     from gf_usd.view.report.report import Limits, build_report
 
     require_target(target, (path, report_path(path)))
-    first = BakedMotion(path, variant, displayed=True)
+    obstacles: Read = {}  # read once for all variants
+    first = BakedMotion(path, variant, displayed=True, obstacles=obstacles)
     # the variant that is selected in the file comes first
     names = [first.variant]
     if variant is None:
         names += [name for name in first.variants if name != first.variant]
-    others = (BakedMotion(path, name, displayed=True) for name in names[1:])
+    others = (BakedMotion(path, name, displayed=True, obstacles=obstacles) for name in names[1:])
     sources = [first, *others]
     page = build_report(sources, *load_report(path), Limits(frames=frames, vertices=vertices))
     publish_text(target, page)

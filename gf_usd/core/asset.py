@@ -51,7 +51,8 @@ class SurfaceMaterial:
 
 FILE, ASSUMED, OPTION = "file", "assumed", "option"  # where a unit or an axis comes from
 BAKES = "gaussianFlesh"  # the variant set that root prims of a bake have
-COLLIDERS = "colliders"  # in its metadata: files of obstacles, as paths from the root layer
+# in its metadata: files of obstacles, as paths from the root layer, and sha256 of each
+COLLIDERS, COLLIDER_HASHES = "colliders", "colliderHashes"
 
 
 @dataclass(frozen=True, kw_only=True)

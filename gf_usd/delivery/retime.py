@@ -13,16 +13,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Sdf, Usd, UsdUtils
+from pxr import Sdf, Usd, UsdUtils, Vt
 
 from gf_usd.core import CACHE_SUFFIX
+from gf_usd.core.asset import COLLIDERS
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.core.units import code_text
 from gf_usd.delivery.resample import SAME, Warp, most_samples, resample, sample_as_played
 from gf_usd.delivery.usd import VARIANTS, absolute, require_no_layer_of_bake
 from gf_usd.layers.flatten import export, write_placed
 from gf_usd.readers.usd.stage import open_stage, reading
-from gf_usd.system.atomic_files import partial_path, publish
+from gf_usd.system.atomic_files import asset_path, partial_path, publish
 
 SUFFIXES = (".usda", ".usdc", ".usd")
 MOST_FRAMES = 100_000
@@ -72,7 +73,7 @@ def retime(
         try:
             codes = [_retimed(cache, new, speed, keys) for cache, new in made.items()]
             span = min(each[0] for each in codes), max(each[-1] for each in codes)
-            layer = _root(root, made, speed, keys, span)
+            layer = _root(root, target, made, speed, keys, span)
             notes = ()
             if keys is not None:
                 notes = _retime_source(layer, bake, caches, keys, max(codes, key=len))
@@ -330,12 +331,13 @@ def _animated(layer: Sdf.Layer) -> list[Sdf.Path]:
 
 def _root(
     root: Sdf.Layer,
+    target: Path,
     caches: Mapping[Path, Path],
     speed: float | None,
     keys: Sequence[tuple[float, float]] | None,
     span: tuple[float, float],
 ) -> Sdf.Layer:
-    """The root layer over other caches, its paths absolute."""
+    """The root layer over other caches, its asset paths absolute, for a target."""
     layer = Sdf.Layer.CreateAnonymous(".usda")
     layer.TransferContent(root)
 
@@ -363,7 +365,11 @@ def _root(
         layer.startTimeCode, layer.endTimeCode = span
     data: dict[str, Any] = dict(layer.customLayerData)
     timing = {"speed": speed} if speed is not None else {"keys": _text(keys or ())}
-    data[VARIANTS] = {**data.get(VARIANTS, {}), "retime": timing}
+    about: dict[str, Any] = {**data.get(VARIANTS, {}), "retime": timing}
+    if COLLIDERS in about:
+        files = [Path(absolute(root, str(name))) for name in about[COLLIDERS]]
+        about[COLLIDERS] = Vt.StringArray([asset_path(file, target.parent) for file in files])
+    data[VARIANTS] = about
     layer.customLayerData = data
     return layer
 

@@ -16,6 +16,7 @@ import numpy as np
 from pxr import Ar, Sdf, Usd, UsdGeom, UsdUtils
 
 from gf_usd.core import USD_SUFFIXES
+from gf_usd.core.asset import COLLIDER_HASHES, COLLIDERS
 from gf_usd.core.errors import UsageError
 from gf_usd.delivery.skeleton import bind_meshes, skel_roots
 from gf_usd.delivery.splats.usd import author_samples, keep_at_rest
@@ -141,11 +142,13 @@ def _without_motion(bake: Path, variants: Sequence[BakedVariant]) -> Sdf.Layer:
 
 
 def _tell(layer: Sdf.Layer, names: set[str]) -> None:
-    """Keep only the metadata of the variants in `names`."""
+    """Keep only the metadata of the variants in `names`, without obstacle files."""
     data = layer.customLayerData
     about = dict(data.get(VARIANTS, {}))
     looks = about.get("looks", {})
     about["looks"] = {name: values for name, values in looks.items() if name in names}
+    for name in (COLLIDERS, COLLIDER_HASHES):  # a delivery refers to no other files
+        about.pop(name, None)
     layer.customLayerData = {**data, VARIANTS: about}
 
 

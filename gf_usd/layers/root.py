@@ -29,7 +29,7 @@ from typing import Any
 
 from pxr import Pcp, Sdf, Usd, Vt
 
-from gf_usd.core.asset import COLLIDERS, Asset
+from gf_usd.core.asset import COLLIDER_HASHES, COLLIDERS, Asset
 from gf_usd.core.frames.choices import SOURCE_VARIANT, Choices
 from gf_usd.core.frames.settings import Settings
 from gf_usd.layers.retarget import repeat_edits, restore_rest
@@ -196,10 +196,14 @@ def _author_metadata(
     return files
 
 
-def _collider_metadata(colliders: Sequence[Path], folder: Path) -> dict[str, object]:
+def _collider_metadata(colliders: Mapping[Path, str], folder: Path) -> dict[str, object]:
     """The obstacle files as paths from the folder of the layer; nothing where there are none."""
-    named = [asset_path(file, folder) for file in colliders]
-    return {COLLIDERS: Vt.StringArray(named)} if named else {}
+    if not colliders:
+        return {}
+    return {
+        COLLIDERS: Vt.StringArray([asset_path(file, folder) for file in colliders]),
+        COLLIDER_HASHES: Vt.StringArray(list(colliders.values())),
+    }
 
 
 def _metadata_settings(settings: Settings) -> dict[str, object]:

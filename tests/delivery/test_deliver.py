@@ -226,10 +226,18 @@ def test_the_box_is_that_of_the_pose_that_is_delivered(tmp_path: Path) -> None:
 
 def test_the_metadata_list_only_the_variants_of_the_file(tmp_path: Path) -> None:
     root, *_ = bake(PAINTED.asset(tmp_path), tmp_path, looks=("rubber", "jelly"))
+    layer = Sdf.Layer.FindOrOpen(str(root.path))
+    about = dict(layer.customLayerData["gaussianFlesh"])
+    about["colliders"] = Vt.StringArray(["./sets/wall.obj"])
+    about["colliderHashes"] = Vt.StringArray(["ab"])
+    layer.customLayerData = {**layer.customLayerData, "gaussianFlesh": about}
+    layer.Save()
     done = deliver(root.path, tmp_path / "out.usda", error=TOLERANCE, variant="jelly")
     metadata = Sdf.Layer.FindOrOpen(str(done.path)).customLayerData["gaussianFlesh"]
     assert list(metadata["looks"]) == ["jelly"]
     assert "variants" not in metadata
+    # a delivery refers to no files of obstacles
+    assert not {"colliders", "colliderHashes"} & set(metadata)
 
 
 def test_the_same_bytes_each_time(ball: Path, tmp_path: Path) -> None:

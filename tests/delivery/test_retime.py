@@ -203,6 +203,27 @@ def test_it_can_lie_in_another_folder(root: Path, tmp_path: Path) -> None:
     assert Usd.Stage.Open(str(done.path)).GetPrimAtPath(BODY).GetAttribute("normals").Get(11.0)
 
 
+def with_obstacles(root: Path) -> None:
+    """Add an obstacle file to the metadata of a bake."""
+    layer = Sdf.Layer.FindOrOpen(str(root))
+    about = dict(layer.customLayerData["gaussianFlesh"])
+    about["colliders"] = Vt.StringArray(["./sets/wall.obj"])
+    about["colliderHashes"] = Vt.StringArray(["ab"])
+    layer.customLayerData = {**layer.customLayerData, "gaussianFlesh": about}
+    layer.Save()
+
+
+def test_files_of_obstacles_are_found_from_another_folder(root: Path, tmp_path: Path) -> None:
+    with_obstacles(root)
+    target = tmp_path / "elsewhere" / "deeper" / "slow.usda"
+    target.parent.mkdir(parents=True)
+    retime(root, target, speed=0.5)
+    about = Sdf.Layer.FindOrOpen(str(target)).customLayerData["gaussianFlesh"]
+    named = (target.parent / about["colliders"][0]).resolve()
+    assert named == (root.parent / "sets" / "wall.obj").resolve()
+    assert list(about["colliderHashes"]) == ["ab"]
+
+
 def refused(kind: type[Exception], message: str, *given: object, **options: object) -> None:
     with pytest.raises(kind, match=message):
         retime(*given, **options)

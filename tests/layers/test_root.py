@@ -112,13 +112,14 @@ def test_the_layers_metadata_is_the_sources(tmp_path: Path) -> None:
 
 def test_files_of_obstacles_are_named_from_the_folder_of_the_layer(tmp_path: Path) -> None:
     asset = PLAIN.asset(tmp_path)
-    files = (tmp_path / "sets" / "wall.obj", tmp_path.parent / "floor.usda")
+    files = {tmp_path / "sets" / "wall.obj": "ab", tmp_path.parent / "floor.usda": "cd"}
     cache = tmp_path / "duck.rubber.cache.usdc"
     info = replace(write_cache(cache, asset)[2], colliders=files)
     baked = BakedVariant(name="rubber", cache=cache, info=info, health={})
     root = write_root(tmp_path / "root.usda", asset, [baked], choices=ALL)
     ours = Sdf.Layer.FindOrOpen(str(root.path)).customLayerData["gaussianFlesh"]
     assert list(ours["colliders"]) == ["./sets/wall.obj", "../floor.usda"]
+    assert list(ours["colliderHashes"]) == ["ab", "cd"]
 
 
 def test_usd_finds_no_fault(name: str, tmp_path: Path) -> None:

@@ -185,4 +185,5 @@ class BakeInfo:
     command: str
     version: str
     input_hash: str  # sha256 of the source file
-    colliders: tuple[Path, ...] = ()  # files of obstacles, which the layers do not contain
+    # files of obstacles, which the layers do not contain, and sha256 of each
+    colliders: Mapping[Path, str] = field(default_factory=dict)

@@ -43,7 +43,7 @@ def bake_info(plan: Plan, variant: Variant) -> BakeInfo:
         command=plan.command,
         version=plan.version,
         input_hash=input_hash(plan.asset.facts.path),
-        colliders=plan.collider_files,
+        colliders={file: input_hash(file) for file in plan.collider_files},
     )
 
 

@@ -7,54 +7,69 @@ and pose that they had at the first frame of their file.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from pxr import Sdf, Tf, Usd, UsdGeom, Vt
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.asset import BAKES, COLLIDERS, NO_COLOR, StageFacts, Surface
+from gf_usd.core.asset import (
+    BAKES,
+    COLLIDER_HASHES,
+    COLLIDERS,
+    NO_COLOR,
+    StageFacts,
+    Surface,
+    free_name,
+)
 from gf_usd.core.errors import InputError
+from gf_usd.readers.inputs import digest
 from gf_usd.readers.notes import Notes
-from gf_usd.readers.usd_physics.obstacle_files import read_obstacle_file
+from gf_usd.readers.usd_physics.obstacle_files import ObstacleFile, read_obstacle_file
 
 SCOPE = "ObstacleFiles"
+Read = dict[Path, ObstacleFile]  # files that were read
 
 
-def add_obstacle_files(stage: Usd.Stage, path: Path, facts: StageFacts, notes: Notes) -> None:
-    """Define the meshes of the obstacle files of a bake in the session layer.
+def add_obstacle_files(
+    stage: Usd.Stage, path: Path, facts: StageFacts, notes: Notes, read: Read
+) -> frozenset[str]:
+    """Define the meshes of the obstacle files of a bake in the session layer; returns their paths.
 
-    A file that is not there, or cannot be read, is named in a note.
+    read : files that were read before, such as for another variant; those that are read are added.
+    A file that is not there, cannot be read or has changed is named in a note.
     """
     about = stage.GetRootLayer().customLayerData.get(BAKES)
-    named: Any = about.get(COLLIDERS, ()) if isinstance(about, dict) else ()
-    if not named:
-        return
+    if not isinstance(about, dict) or COLLIDERS not in about:
+        return frozenset()
     stage.SetEditTarget(stage.GetSessionLayer())
-    scope = _free(stage, Sdf.Path(f"/{SCOPE}"))
-    for name in named:
+    scope = _free(stage, Sdf.Path.absoluteRootPath, SCOPE)
+    found: set[str] = set()
+    for name, known in zip(about[COLLIDERS], about[COLLIDER_HASHES], strict=True):
         file = path.parent / str(name)
+        what = f"{file.name}, an obstacle of the bake,"
         if not file.is_file():
-            notes.add(f"{file.name}, an obstacle of the bake, is not drawn: {file} does not exist")
+            notes.add(f"{what} is not drawn: {file} does not exist")
             continue
         try:
-            read = read_obstacle_file(file, facts.up_axis)
+            if file not in read:
+                read[file] = read_obstacle_file(file, facts.up_axis)
         except InputError as refused:
-            notes.add(f"{file.name}, an obstacle of the bake, is not drawn: {refused}")
+            notes.add(f"{what} is not drawn: {refused}")
             continue
-        for surface in read.surfaces:
+        if digest(file) != known:
+            notes.add(f"{what} has changed since, and is drawn as it is now")
+        for surface in read[file].surfaces:
             words = f"{file.stem}_{Sdf.Path(surface.path).name}"
-            place = _free(stage, scope.AppendChild(Tf.MakeValidIdentifier(words)))
-            _define(stage, place, surface, read.points(surface) / facts.units.length)
+            place = _free(stage, scope, Tf.MakeValidIdentifier(words))
+            _define(stage, place, surface, read[file].points(surface) / facts.units.length)
+            found.add(str(place))
+    return frozenset(found)
 
 
-def _free(stage: Usd.Stage, path: Sdf.Path) -> Sdf.Path:
-    """A path without a prim: the given one, or one with a number."""
-    taken, number = path, 1
-    while stage.GetPrimAtPath(taken):
-        taken = path.ReplaceName(f"{path.name}_{number}")
-        number += 1
-    return taken
+def _free(stage: Usd.Stage, above: Sdf.Path, name: str) -> Sdf.Path:
+    """The path of a prim that does not exist: of this name, or with a number."""
+    free = free_name(name, lambda one: bool(stage.GetPrimAtPath(above.AppendChild(one))))
+    return above.AppendChild(free)
 
 
 def _define(stage: Usd.Stage, path: Sdf.Path, surface: Surface, points: Floats) -> None:

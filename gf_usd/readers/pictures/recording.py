@@ -27,7 +27,7 @@ from gf_usd.readers.pictures.extent import (
 )
 from gf_usd.readers.pictures.floor import TILTED, baked_floor
 from gf_usd.readers.pictures.framing import Framing, frame_motion
-from gf_usd.readers.pictures.obstacles import add_obstacle_files
+from gf_usd.readers.pictures.obstacles import Read, add_obstacle_files
 from gf_usd.readers.pictures.prims import (
     placed_prims,
     read_float_or_half,
@@ -66,6 +66,7 @@ class BakedMotion:
     variant : None: the one that is selected in the file.
     displayed : for pictures and pages: also with the meshes of files that were obstacles of the
         bake, and framed as pictures are.
+    obstacles : those of these files that were read before, to which the others are added.
 
     Raises
     ------
@@ -73,7 +74,14 @@ class BakedMotion:
     UsageError : the file has no such variant.
     """
 
-    def __init__(self, path: Path, variant: str | None = None, *, displayed: bool = False) -> None:
+    def __init__(
+        self,
+        path: Path,
+        variant: str | None = None,
+        *,
+        displayed: bool = False,
+        obstacles: Read | None = None,
+    ) -> None:
         if not path.is_file():
             reason = "is a folder" if path.is_dir() else "does not exist"
             raise InputError(f"{path} {reason}", "give the root layer that gf-usd bake wrote")
@@ -85,8 +93,12 @@ class BakedMotion:
                 self._stage, path, self._notes, meters_per_unit=None, up_axis=None
             )
             self._displayed = displayed
+            self._obstacles: frozenset[str] = frozenset()
             if displayed:
-                add_obstacle_files(self._stage, path, self._facts, self._notes)
+                read = {} if obstacles is None else obstacles
+                self._obstacles = add_obstacle_files(
+                    self._stage, path, self._facts, self._notes, read
+                )
             self.variants = variants_of(self._stage)
             self.variant = select_variant(self._stage, path, variant)
             self._find_prims()
@@ -129,7 +141,8 @@ class BakedMotion:
 
     def _framing(self) -> Framing | None:
         """See `framing`; None where nothing is visible."""
-        shown = [*self._meshes, *self._flows] or [self._gaussian_prim]
+        clouds = [self._gaussian_prim] if self._gaussians is not None else []
+        shown = [*self._meshes, *self._flows, *clouds]
         boxes = motion_boxes(shown, self._times, self._facts.units.length)
         return boxes.bounds and frame_motion(shown, boxes, boxes.bounds, self._facts.up)
 
@@ -337,13 +350,14 @@ class BakedMotion:
         return any(layer.GetPrimAtPath(prim.GetPath()) for layer in layers for prim in appearing)
 
     def _body_paths(self) -> set[str]:
-        """Paths of the baked meshes: the source meshes of Gaussians of all bakes, else all meshes.
+        """Paths of the baked meshes: the source meshes of Gaussians of all bakes, else all meshes
+        of the stage.
 
         A shot may reference several bakes.
         """
         named = (prim.GetRelationship("gaussianFlesh:sourceMeshes") for prim in self._bakes)
         targets = {str(path) for rel in named if rel for path in rel.GetForwardedTargets()}
-        return targets or {str(prim.GetPath()) for prim in self._meshes}
+        return targets or {str(prim.GetPath()) for prim in self._meshes} - self._obstacles
 
     def _ground(self) -> float | None:
         """Height [m] of the floor of the bake; None where unknown or tilted."""

@@ -131,7 +131,6 @@ class PictureStage:
             self._facts = stage_facts(
                 self._stage, path, self._stage_notes, meters_per_unit=None, up_axis=None
             )
-            add_obstacle_files(self._stage, path, self._facts, self._stage_notes)
             kinds_present = self._visible_kinds()
             self.show = show or next((kind for kind in KINDS if kind in kinds_present), "mesh")
             kinds, display = SHOWS[self.show]
@@ -153,6 +152,11 @@ class PictureStage:
                 f"{path}: it contains no visible {' or '.join(SHOWS[self.show][0])}",
                 f"it contains {kinds_present}: choose with --show",
             )
+        with reading(path):
+            # only now: a stage of which nothing else can be drawn is refused
+            if add_obstacle_files(self._stage, path, self._facts, self._stage_notes, {}):
+                more = kinds if show is not None else (*kinds, "mesh")
+                self._prims = self._drawn_prims(more)
         self._motion: Motion | None = None
         self._textures: dict[tuple[object, ...], Texture] = {}  # decoded once for a film
 

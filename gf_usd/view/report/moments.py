@@ -27,7 +27,7 @@ def choose_key_frames(motion: Motion, most: int = PICTURES) -> list[tuple[int, s
     """Up to `most` key frames (index, label) in order, until all that moves has left pictures."""
     end = motion.recording.shown_until
     last = sum(end is None or code <= end for code in motion.time_codes) - 1
-    labels = {0: "start", **_find_bounce(motion)}
+    labels = {0: "start", **{k: what for k, what in _find_bounce(motion).items() if k <= last}}
     labels.setdefault(last, "end" if last + 1 == len(motion.time_codes) else "")
     while len(labels) < min(most, last + 1):
         # the middle of the longest interval without a picture
@@ -72,7 +72,7 @@ def render_pictures(
     recording: Recording, frames: Iterable[MotionFrame], camera: Camera | None
 ) -> list[str]:
     """Render each frame to a JPEG, as a data URI."""
-    return [_render_data_uri(_scene(recording, frame), camera) for frame in frames]
+    return [_render_data_uri(scene_of(recording, frame), camera) for frame in frames]
 
 
 def camera_for(motion: Motion) -> Camera:
@@ -95,7 +95,8 @@ def bounds(motion: Motion) -> tuple[Sequence[float], Sequence[float]]:
     return points.min(axis=0).tolist(), points.max(axis=0).tolist()
 
 
-def _scene(recording: Recording, frame: MotionFrame) -> Scene:
+def scene_of(recording: Recording, frame: MotionFrame) -> Scene:
+    """The meshes of a frame, and its Gaussians where none of these meshes is a body."""
     meshes = tuple(
         # recorded normals are valid in the first frame only
         replace(mesh, points=points, normals=None)
@@ -104,7 +105,8 @@ def _scene(recording: Recording, frame: MotionFrame) -> Scene:
     meshes += frame.flows
     ellipsoids: tuple[RenderEllipsoids, ...] = ()
     cloud = recording.gaussians
-    if not meshes and cloud and frame.positions is not None and frame.axes is not None:
+    body = frame.flows or any(recording.baked)
+    if not body and cloud and frame.positions is not None and frame.axes is not None:
         ellipsoids = (
             RenderEllipsoids(
                 name=cloud.name,

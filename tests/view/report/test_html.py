@@ -167,6 +167,9 @@ def test_pictures_contain_what_the_recording_says_and_end_where_all_has_left_it(
     assert bounds(motion) == (box.low, box.high)
     found = choose_key_frames(motion, 3)
     assert (found[0], found[-1]) == ((0, "start"), (3, "squashed"))
+    assert choose_key_frames(motion, 9) == [
+        (0, "start"), (1, ""), (2, "contact"), (3, "squashed"),
+    ]  # fmt: skip
     # the last of these is not the end of the motion
     away = replace(motion, recording=replace(recording, shown_until=codes[4], ground=None))
     assert choose_key_frames(away, 2) == [(0, "start"), (4, "")]
