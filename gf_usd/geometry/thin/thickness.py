@@ -50,7 +50,7 @@ def thickness(solid: Solid, bodies: Ints | None = None, rays: int = RAYS) -> Thi
     bodies : (S,) the body of each surface, in which its rays end; None: a single body.
     """
     of = np.zeros(len(solid.surfaces), np.int64) if bodies is None else bodies
-    return solid.measured((rays, of.tobytes()), lambda: _quantiles(*_rays(solid, of, rays)))
+    return solid.measured((rays, of.tobytes()), lambda: _quantiles(*inward_rays(solid, of, rays)))
 
 
 def _quantiles(length: Floats, oblique: Flags, shell: Ints) -> Thickness | None:
@@ -64,19 +64,14 @@ def _quantiles(length: Floats, oblique: Flags, shell: Ints) -> Thickness | None:
     return Thickness(thin=float(np.quantile(wide, THIN_SHARE)), median=float(np.median(length)))
 
 
-def ray_lengths(solid: Solid, bodies: Ints | None, rays: int) -> Floats:
-    """(n,) [m] lengths of inward rays from n <= `rays` points on the surfaces of the bodies.
+def inward_rays(solid: Solid, of: Ints, rays: int) -> tuple[Floats, Flags, Ints]:
+    """Inward rays from n <= `rays` points on the surfaces of the bodies: (n,) [m] their lengths,
+    (n,) whether they end at an oblique face, and (n,) the shells from which they start.
 
     Points inside another surface of the body, and rays that leave through a hole, are left out.
 
-    bodies : see `thickness`.
+    of : (S,) the body of each surface, in which its rays end.
     """
-    of = np.zeros(len(solid.surfaces), np.int64) if bodies is None else bodies
-    return _rays(solid, of, rays)[0]
-
-
-def _rays(solid: Solid, of: Ints, rays: int) -> tuple[Floats, Flags, Ints]:
-    """See `ray_lengths`: their lengths, whether they end at an oblique face, and their shells."""
     start, normal, face = _spread(*_mesh(solid), rays)
     clear = np.full(rays, CLEAR * float(np.linalg.norm(solid.high - solid.low)))
     body = np.repeat(of, [len(triangles) for triangles in solid.triangles])[face]

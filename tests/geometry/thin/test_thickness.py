@@ -7,7 +7,7 @@ import pytest
 import trimesh
 from solids import cube, solid, sphere, surface, without
 
-from gf_usd.geometry.thin.thickness import Thickness, ray_lengths, thickness
+from gf_usd.geometry.thin.thickness import Thickness, inward_rays, thickness
 
 
 def test_a_plate_is_as_thick_as_across_it() -> None:
@@ -16,7 +16,7 @@ def test_a_plate_is_as_thick_as_across_it() -> None:
     assert seen is not None
     assert seen.thin == pytest.approx(0.1, rel=1e-6)
     assert seen.median == pytest.approx(0.1, rel=1e-6)
-    length = ray_lengths(solid(cube(edge=(1.0, 1.0, 0.1))), None, 1200)
+    length, _, _ = inward_rays(solid(cube(edge=(1.0, 1.0, 0.1))), np.arange(1), 1200)
     assert (length > 0.5).mean() == pytest.approx(0.4 / 2.4, abs=1 / 1200 * 8)
 
 
@@ -49,7 +49,7 @@ def test_a_thin_part_counts_by_its_area() -> None:
 def test_surfaces_that_overlap_are_one() -> None:
     one = cube(path="/One")
     two = cube(low=(0.5, 0.0, 0.0), path="/Two")
-    length = ray_lengths(solid(one, two), None, 1000)
+    length, _, _ = inward_rays(solid(one, two), np.zeros(2, int), 1000)
     np.testing.assert_allclose(np.unique(length.round(6)), [1.0, 1.5])
 
 
@@ -62,7 +62,7 @@ def test_a_body_is_as_thick_as_without_those_it_touches() -> None:
     assert one.thin == pytest.approx(1.0, rel=1e-6)
     assert two.thin == pytest.approx(0.1, rel=1e-6)
     # 2 of 8.4 of the area are the faces of the plate, and 6 those of the box
-    length = ray_lengths(both, np.arange(2), 1000)
+    length, _, _ = inward_rays(both, np.arange(2), 1000)
     assert (length < 0.5).mean() == pytest.approx(2.0 / 8.4, abs=8 / 1000)
 
 
@@ -83,7 +83,7 @@ def test_it_scales_and_repeats() -> None:
 def test_rays_through_a_hole_are_left_out() -> None:
     whole = cube()
     open_above = without(whole, [2])  # a triangle of the top
-    length = ray_lengths(solid(open_above), None, 1000)
+    length, _, _ = inward_rays(solid(open_above), np.arange(1), 1000)
     assert len(length) < 1000
     np.testing.assert_allclose(length, 1.0, rtol=1e-6)
 
@@ -126,14 +126,17 @@ def test_thickness_scales_with_the_body(size: float) -> None:
     assert seen is not None
     assert seen.thin == pytest.approx(size * whole.thin, rel=1e-5)
     assert seen.median == pytest.approx(size * whole.median, rel=1e-5)
-    assert len(ray_lengths(solid(surface(size * fine.points, fine.triangles)), None, 200)) == 200
+    length, _, _ = inward_rays(
+        solid(surface(size * fine.points, fine.triangles)), np.arange(1), 200
+    )
+    assert len(length) == 200
 
 
 def test_a_thickness_is_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
     body = solid(cube())
     found = thickness(body)
     monkeypatch.setattr(
-        "gf_usd.geometry.thin.thickness._rays",
+        "gf_usd.geometry.thin.thickness.inward_rays",
         lambda *_: (np.ones(3), np.zeros(3, bool), np.zeros(3, np.int64)),
     )
     assert thickness(body, np.zeros(1, np.int64)) is found
