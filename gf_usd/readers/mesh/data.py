@@ -174,7 +174,8 @@ def require_sound(file: MeshFile) -> MeshFile:
 
     Raises
     ------
-    InputError : no faces, points that are not finite, indices out of range, or a body of zero size.
+    InputError : no faces, points or offsets of blend shapes that are not finite, indices out of
+        range, or a body of zero size.
     """
     meshes = [mesh for node in file.nodes for mesh in node.meshes()]
     if not any(len(mesh.counts) for mesh in meshes):
@@ -190,12 +191,17 @@ def require_sound(file: MeshFile) -> MeshFile:
                 REPAIR,
             )
         for shape in mesh.shapes:
-            if lost := int((~np.isfinite(shape.offsets)).any(axis=1).sum()):
-                raise InputError(
-                    f"{where}: {lost} of {len(shape.offsets)} offsets of its blend shape"
-                    f" '{shape.name}' are not finite (NaN or infinity)",
-                    REPAIR,
-                )
+            for name, rows in (
+                ("offsets", shape.offsets),
+                ("normal offsets", shape.normal_offsets),
+            ):
+                lost = 0 if rows is None else int((~np.isfinite(rows)).any(axis=1).sum())
+                if lost:
+                    raise InputError(
+                        f"{where}: {lost} of {len(shape.offsets)} {name} of its blend shape"
+                        f" '{shape.name}' are not finite (NaN or infinity)",
+                        REPAIR,
+                    )
         outside = (mesh.indices < 0) | (mesh.indices >= len(mesh.points))
         if outside.any():
             raise InputError(

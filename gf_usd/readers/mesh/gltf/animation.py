@@ -91,9 +91,9 @@ class Animation:
         return {node for node, path in self.channels if path != WEIGHTS}
 
     @property
-    def morphs(self) -> bool:
-        """Whether weights of morph targets are animated."""
-        return any(path == WEIGHTS for _, path in self.channels)
+    def morphing(self) -> set[int]:
+        """The nodes of the meshes whose morph targets have animated weights."""
+        return {node for node, path in self.channels if path == WEIGHTS}
 
     @property
     def span(self) -> tuple[float, float]:

@@ -69,7 +69,10 @@ class Rigs:
         self.fps, self._times = frame_times(self._animation, fps, str(gltf.path))
         for number in used:
             self._add(number)
-        self.skeletons = tuple(self._skeleton(k, tree) for k, tree in enumerate(self._trees))
+        morphing = {self._posing(node) for node in self._animation.morphing}
+        self.skeletons = tuple(
+            self._skeleton(k, tree, morphs=k in morphing) for k, tree in enumerate(self._trees)
+        )
 
     def weights(self, node: int) -> NDArray[np.float64] | None:
         """(F, K) the weights of the morph targets of a node's mesh at the frames; None: they are
@@ -116,26 +119,43 @@ class Rigs:
     def bound_rigidly(self, node: int, mesh: FileMesh) -> FileMesh | None:
         """A mesh bound rigidly to the joint that its node descends from; None where none does."""
         chain = self._nodes.chain(node)
+        found = self._joint_above(chain)
+        if found is None:
+            return None
+        above, at = found
+        tree = self._trees[at]
+        if self._animation.nodes & set(chain[:above]):
+            self._notes.add(
+                "moves relative to the joint it is attached to: that motion is ignored", mesh.name
+            )
+        matrix = np.eye(4)
+        for between in chain[:above]:
+            matrix = matrix @ self._nodes.local(between)
+        row = tree.order.index(chain[above])
+        ones = np.ones((len(mesh.points), 1))
+        skin = FileSkin(
+            skeleton=at, joints=np.full((len(ones), 1), row), weights=ones,
+            matrix=matrix @ tree.bind[row],
+        )  # fmt: skip
+        return replace(mesh, skin=skin)
+
+    def _joint_above(self, chain: list[int]) -> tuple[int, int] | None:
+        """Of nodes, each the child of the next: the number of the first that is a joint, and its
+        tree; None where none is.
+        """
         for above, joint in enumerate(chain):
             for at, tree in enumerate(self._trees):
-                if joint not in tree.inverse:
-                    continue
-                if self._animation.nodes & set(chain[:above]):
-                    self._notes.add(
-                        "moves relative to the joint it is attached to: that motion is ignored",
-                        mesh.name,
-                    )
-                matrix = np.eye(4)
-                for between in chain[:above]:
-                    matrix = matrix @ self._nodes.local(between)
-                row = tree.order.index(joint)
-                ones = np.ones((len(mesh.points), 1))
-                skin = FileSkin(
-                    skeleton=at, joints=np.full((len(ones), 1), row), weights=ones,
-                    matrix=matrix @ tree.bind[row],
-                )  # fmt: skip
-                return replace(mesh, skin=skin)
+                if joint in tree.inverse:
+                    return above, at
         return None
+
+    def _posing(self, node: int) -> int | None:
+        """The tree that poses the mesh of a node; None where none does."""
+        row = self._nodes.row(node)
+        if "skin" in row:
+            return self._of[row["skin"]][0]
+        found = self._joint_above(self._nodes.chain(node))
+        return None if found is None else found[1]
 
     def _add(self, number: int) -> None:
         """Find the skeleton of a skin, or add one."""
@@ -178,7 +198,8 @@ class Rigs:
         above = {above for node in tree.inverse for above in self._nodes.chain(node)}
         return np.eye(4) if below & tree.inverse.keys() or above & mine.keys() else None
 
-    def _skeleton(self, number: int, tree: _Tree) -> FileSkeleton:
+    def _skeleton(self, number: int, tree: _Tree, *, morphs: bool) -> FileSkeleton:
+        """The skeleton of a tree; morphs : it poses meshes whose morph targets are animated."""
         wanted = {above for node in tree.inverse for above in self._nodes.chain(node)}
         below = {
             node: [c for c in self._nodes.row(node).get("children", []) if c in wanted]
@@ -200,7 +221,7 @@ class Rigs:
             waiting += [(child, row) for child in reversed(below[node])]
         parts = [self._nodes.parts(node) for node in tree.order]
         # blend shapes are animated together with the joints
-        moving = bool(self._animation.nodes & set(tree.order)) or self._animation.morphs
+        moving = morphs or bool(self._animation.nodes & set(tree.order))
         motion = [self._motion(node, part) for node, part in zip(tree.order, parts)]
         T, Q, S = (np.stack(column, 1) for column in zip(*motion))
         local = [

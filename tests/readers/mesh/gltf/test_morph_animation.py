@@ -205,10 +205,57 @@ def test_weights_that_do_not_fit_the_targets_are_refused(tmp_path: Path) -> None
         read_rigged_gltf(gltf_arm.write(tmp_path, made))
 
 
-def test_offsets_that_are_not_finite_are_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("key", "named"), [("POSITION", "offsets"), ("NORMAL", "normal offsets")], ids=str
+)
+def test_offsets_that_are_not_finite_are_refused(tmp_path: Path, key: str, named: str) -> None:
+    """Those of normals reached the layer."""
     made = morphing_arm()
     broken = FATTER.copy()
     broken[12] = np.nan
-    made.tree["meshes"][0]["primitives"][0]["targets"][0]["POSITION"] = sparse(made, broken)
-    with pytest.raises(InputError, match="1 of 36 offsets of its blend shape 'fat' are not finite"):
+    (primitive,) = made.tree["meshes"][0]["primitives"]
+    primitive["attributes"]["NORMAL"] = made.accessor(
+        np.tile([0.0, 0.0, 1.0], (len(X), 1)).astype(np.float32)
+    )
+    primitive["targets"][0][key] = sparse(made, broken)
+    message = f"1 of 36 {named} of its blend shape 'fat' are not finite"
+    with pytest.raises(InputError, match=message):
         read_rigged_gltf(gltf_arm.write(tmp_path, made))
+
+
+def add_second_arm(made: GltfMaker) -> None:
+    """Add a skeleton of its own with a mesh without morph targets."""
+    nodes = made.tree["nodes"]
+    first = len(nodes)
+    points = made.tree["meshes"][0]["primitives"][0]
+    primitive = {key: row for key, row in points.items() if key != "targets"}
+    made.tree["meshes"].append({"primitives": [primitive]})
+    made.tree["skins"].append({**made.tree["skins"][0], "joints": [first + 1, first + 2]})
+    nodes += [
+        {"name": "Still", "mesh": len(made.tree["meshes"]) - 1, "skin": 1},
+        {"name": "C", "children": [first + 2], "scale": [gltf_arm.SMALL] * 3},
+        {"name": "D", "translation": [1.0 / gltf_arm.SMALL, 0, 0]},
+    ]
+    made.tree["scenes"][0]["nodes"] += [first, first + 1]
+
+
+def test_only_the_skeletons_of_meshes_whose_weights_are_animated_move(tmp_path: Path) -> None:
+    """All skeletons of a file had an animation where one of its meshes had weights."""
+    made = morphing_arm(animated=False)
+    add_second_arm(made)
+    file = read_rigged_gltf(gltf_arm.write(tmp_path, made))
+    assert [one.translations is not None for one in file.skeletons] == [True, False]
+
+
+def test_a_skeleton_moves_for_the_weights_of_a_mesh_that_hangs_from_its_joint(
+    tmp_path: Path,
+) -> None:
+    made = gltf_arm.maker(animated=False)
+    primitive = made.primitive(CORNERS, TRIANGLES)
+    primitive["targets"] = [{"POSITION": made.accessor(CORNERS.astype(np.float32))}] * 2
+    boot = made.mesh(primitive, name="Boot")
+    made.tree["nodes"][4]["children"] = [boot]
+    add_weights(made, node=boot)
+    add_second_arm(made)
+    file = read_rigged_gltf(gltf_arm.write(tmp_path, made))
+    assert [one.translations is not None for one in file.skeletons] == [True, False]
