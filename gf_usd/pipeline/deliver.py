@@ -40,8 +40,8 @@ class Delivery:
 
         seen : its state when the bake was planned.
 
-        Raises UsageError if another bake has written it since then, from another file or with other
-        options: the results of that bake refer to it.
+        Raises UsageError if another bake has written it since then, from another file, with other
+        options or by another version: the results of that bake refer to it.
         """
         converted, target = self.converted, self.files.source
         if converted is None or target is None:
@@ -49,8 +49,8 @@ class Delivery:
         with _shared(target):
             if stamp(target) != seen and not converted.is_at(target):
                 raise UsageError(
-                    f"another bake wrote {target} from another file or with other options while "
-                    f"this one was prepared",
+                    f"another bake wrote {target} from another file, with other options or by "
+                    f"another version of gf-usd while this one was prepared",
                     "use -o to bake each of them into its own folder",
                 )
             converted.write(target)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -228,6 +229,12 @@ def test_the_layer_of_a_mesh_file_is_shared_by_its_bakes(tmp_path: Path) -> None
             "add --overwrite to replace it (other bakes may be layered over it), or choose another"
             " folder with -o",
         )
+        message, hint = refusal(
+            partial(require_source_free, other_version=True), files, False, False
+        )
+        assert message == f"{there} exists already, and was made by another version of gf-usd"
+        assert "--overwrite" in hint
+        require_source_free(files, False, True, other_version=True)
     require_source_free(outputs(DUCK, ["rubber"], f"{tmp_path}/"), False, False)
 
 

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import sys
 
+import arm
+import gltf_arm
 import numpy as np
 import pytest
 from mesh_makers import CORNERS, TRIANGLES, GltfMaker, cube_obj, png
-from pxr import Kind, Usd, UsdGeom, UsdValidation
+from pxr import Kind, Sdf, Usd, UsdGeom, UsdValidation
 
 from gf_usd.core.errors import BakeError, InputError
 from gf_usd.readers import convert, read_asset
+from gf_usd.readers.mesh.to_usd import CONVERTER as CONVERTER_NUMBER
+from gf_usd.readers.mesh.to_usd import RECORD
 
 ASSUMED = (
     "OBJ files state no unit and no up axis: 1 m per unit is assumed (--meters-per-unit), and Y up"
@@ -122,6 +127,60 @@ def test_writing_again_keeps_what_is_the_same(cube, tmp_path):
     convert(cube).write(target)
     assert read_asset(target).surfaces[0].points.max() == 2.0
     assert sorted(p.name for p in tmp_path.iterdir()) == ["my cube.obj", "my cube.source.usdc"]
+
+
+def test_a_layer_of_another_converter_is_made_again(cube, tmp_path, monkeypatch):
+    """An older one lacks what the converter has learned since, and counted as current."""
+    target = tmp_path / "my cube.source.usdc"
+    source = convert(cube)
+    assert not source.is_of_other_version(target)
+    source.write(target)
+    assert not source.is_of_other_version(target)
+    for record in ({"converter": "0"}, {}):  # the first converters recorded no number
+        layer = Sdf.Layer.FindOrOpen(str(target))
+        kept = {k: v for k, v in source.record.items() if k != "converter"}
+        layer.customLayerData = {RECORD: kept | record}
+        layer.Save()
+        assert source.is_of_other_version(target)
+        assert not source.is_at(target)
+        assert source.other_file(target) == ""
+        source.write(target)
+        assert source.is_at(target)
+    monkeypatch.setattr("gf_usd.readers.mesh.to_usd.CONVERTER", CONVERTER_NUMBER + 1)
+    assert convert(cube).is_of_other_version(target)
+    assert not convert(cube, up_axis="Z").is_at(target)
+
+
+def structure(layer) -> str:
+    """The prims, properties and types of a layer, without values."""
+    lines = []
+
+    def visit(path):
+        lines.append(f"{path} {getattr(layer.GetObjectAtPath(path), 'typeName', '')}")
+
+    layer.Traverse(Sdf.Path.absoluteRootPath, visit)
+    return "\n".join(sorted(lines))
+
+
+def test_a_converter_that_writes_other_prims_has_another_number(tmp_path):
+    """A layer of the converter before counts as current otherwise: where this fails because the
+    layer has changed, raise `CONVERTER`, and set the digest for the new number.
+    """
+    maker = gltf_arm.maker()
+    (primitive,) = maker.tree["meshes"][0]["primitives"]
+    count = len(arm.points())
+    primitive["targets"] = [{"POSITION": maker.accessor(np.ones((count, 3), np.float32))}]
+    primitive["material"] = 0
+    maker.tree["materials"] = [{"pbrMetallicRoughness": {"baseColorFactor": [1, 0, 0, 1]}}]
+    (animation,) = maker.tree["animations"]
+    weights = maker.accessor(np.array([0.0, 1.0], np.float32))
+    animation["samplers"].append({**animation["samplers"][0], "output": weights})
+    animation["channels"].append({"sampler": 2, "target": {"node": 0, "path": "weights"}})
+    source = convert(gltf_arm.write(tmp_path, maker), rigged=True)
+    text = structure(Sdf.Layer.FindOrOpen(str(source.layer)))
+    assert "BlendShape" in text
+    digest = hashlib.sha256(text.encode()).hexdigest()[:16]
+    assert (CONVERTER_NUMBER, digest) == (1, "24720f493ca38bd6")
 
 
 def test_pictures_inside_a_file_are_written_next_to_the_layer(tmp_path):

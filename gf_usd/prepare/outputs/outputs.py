@@ -207,13 +207,21 @@ def require_no_input_of_bake(files: Outputs, inputs: Sequence[Path]) -> None:
             )
 
 
-def require_source_free(files: Outputs, is_current: bool, overwrite: bool, other: str = "") -> None:
+def require_source_free(
+    files: Outputs,
+    is_current: bool,
+    overwrite: bool,
+    other: str = "",
+    *,
+    other_version: bool = False,
+) -> None:
     """Raise UsageError where the layer of a mesh file would replace a different one.
 
-    is_current : the existing layer was made from the same file with the same options, and is
-        reused.
+    is_current : the existing layer was made from the same file with the same options by the same
+        version of the converter, and is reused.
     other : the file of another name of which it was made.  Its bakes are not what is to be
         overwritten, and would show this one.
+    other_version : another version of the converter made it.
     """
     if other:
         raise UsageError(
@@ -222,10 +230,13 @@ def require_source_free(files: Outputs, is_current: bool, overwrite: bool, other
         )
     if overwrite or is_current or files.source is None:
         return
+    difference = "from another file or with other options"
+    if other_version:
+        difference = "by another version of gf-usd"
     there = [p for p in (files.source, *files.textures) if p.exists()]
     if there:
         raise UsageError(
-            f"{there[0]} exists already, and was made from another file or with other options",
+            f"{there[0]} exists already, and was made {difference}",
             "add --overwrite to replace it (other bakes may be layered over it), or choose another"
             " folder with -o",
         )

@@ -99,7 +99,10 @@ def with_layer(
         files = replace(files, textures=converted.textures(layer))
         seen = stamp(layer)
         other = converted.other_file(layer) if shared else ""
-        require_source_free(files, converted.is_at(layer), targets.overwrite, other)
+        require_source_free(
+            files, converted.is_at(layer), targets.overwrite, other,
+            other_version=converted.is_of_other_version(layer),
+        )  # fmt: skip
         return files, seen
     if not files.is_package:
         files = replace(files, textures=converted.textures(files.root))

@@ -21,6 +21,9 @@ from gf_usd.system.atomic_files import absolute_note, asset_path, dropped_on_fai
 from gf_usd.system.sandbox import Scratch
 
 RECORD = "convertedFrom"  # in customLayerData
+# Raise it whenever a reader or `write_layer` makes another layer of the same file: a layer with
+# another number is not current, and bakes neither use nor replace it unasked.
+CONVERTER = 1
 
 
 class Folder:
@@ -113,10 +116,17 @@ class MeshSource:
         return replace(asset, facts=replace(asset.facts, notes=notes, **self.sources))
 
     def is_at(self, target: Path) -> bool:
-        """Whether `target` is a complete conversion of the same bytes with the same options."""
+        """Whether `target` is a complete conversion of the same bytes with the same options, by
+        the same version of the converter.
+        """
         if _record_at(target) != self.record:
             return False
         return all(picture.is_file() for picture in self.textures(target))
+
+    def is_of_other_version(self, target: Path) -> bool:
+        """Whether `target` was made by another version of the converter."""
+        record = _record_at(target)
+        return bool(record) and record.get("converter") != self.record["converter"]
 
     def other_file(self, target: Path) -> str:
         """The name of the file of which `target` was made; "" where it has the name of this one."""
@@ -213,6 +223,7 @@ def record_of(
         "sha256": content.hexdigest(),
         "metersPerUnit": str(meters_per_unit),
         "upAxis": str(up_axis),
+        "converter": str(CONVERTER),
     }
 
 
