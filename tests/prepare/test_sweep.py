@@ -11,7 +11,6 @@ from PIL import Image
 import gf_usd
 from gf_usd.core.errors import UsageError
 from gf_usd.core.materials.presets import find_preset
-from gf_usd.prepare.options.parse import parse_request
 from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.options.sweep import MOST, PROPERTIES, parse_sweep, swept
 
@@ -58,17 +57,6 @@ def test_a_variant_differs_in_one_value(name: str) -> None:
         assert changed == {"name", field}
         assert getattr(material, field) == value
     assert [one.name for one in made] == [f"rubber_{name}_0_1", f"rubber_{name}_0_4"]
-
-
-def test_the_default_is_rubber() -> None:
-    _, presets = parse_request(None, None, {"material_sweep": "youngs=1e4:1e5:2"})
-    assert [one.name for one in presets] == ["rubber_youngs_10000", "rubber_youngs_100000"]
-
-
-@pytest.mark.parametrize("material", ["rubber,jelly", "auto"])
-def test_one_material_is_varied(material: str) -> None:
-    with pytest.raises(UsageError, match="--material-sweep"):
-        parse_request(material, None, {"material_sweep": "youngs=1e4:1e5:2"})
 
 
 @pytest.mark.parametrize(
