@@ -7,7 +7,8 @@ the same part where a segment from one of them, or from a particle, hits the oth
 two cells with a common face are connected
 
 - where a triangle that passes through the face has a patch of both, or
-- where no triangle does and the face lies in the solid.
+- where no triangle does and the face lies in the solid, or
+- where shells that touch meet at the face, as two halves do whose seam is a plane of the grid.
 
 These are all cases: the solid in a face is bounded by such triangles, or is the whole face.
 
@@ -17,6 +18,7 @@ separated from it, nor are shells that touch.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
@@ -82,7 +84,9 @@ def find_limbs(solid: Solid, particles: Particles, of_surface: Ints) -> Limbs | 
     cell = np.floor(at).astype(np.int64)
     rows = find_patches(skins, cell, bodies)
     parts = _Parts(rows, at, rows.keys.of(cell, body), TOUCHING * particles.spacing / h)
-    links = np.concatenate([_through_triangles(rows, parts), _through_open_faces(rows, parts)])
+    links = np.concatenate(
+        [_through_triangles(rows, parts), _through_open_faces(rows, parts), parts.at_seams(rows)]
+    )
     skins.release()
     count = len(parts.key)
     graph = coo_matrix((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(count,) * 2)
@@ -147,7 +151,9 @@ class _Parts:
             self._visible_patches(rows, X[among], cut[among], by_cell, start, many) + [base, 0]
         )
         ends.append(self._mutually_visible(rows, first, by_cell, start, many, several))
-        ends.append(_touching(rows, first, in_cell, several, touching))
+        self._reach = touching
+        self._met: dict[tuple[int, int], bool] = {}  # of two shells: whether they touch
+        ends.append(_touching(rows, first, in_cell, several, self._touch))
         a, b = np.concatenate(ends).T
         count = base + len(among)
         label = components(coo_matrix((np.ones(len(a)), (a, b)), shape=(count, count)))[1]
@@ -168,6 +174,34 @@ class _Parts:
                 near[i] = own[int(np.argmin(apart))]
             of[outside] = label[rows.patch[near]]
         self.of = of
+
+    def _touch(self, skins: Skins, one: int, other: int) -> bool:
+        """Whether two shells overlap, or come within reach."""
+        pair = min(one, other), max(one, other)
+        if pair not in self._met:
+            self._met[pair] = len(self._met) >= MOST_SHELLS or _meet(skins, *pair, self._reach)
+        return self._met[pair]
+
+    def at_seams(self, rows: Patches) -> Ints:
+        """(k, 2) parts of neighboring cells whose shells touch, and meet at the common face."""
+        skins, part = rows.skins, self.of_patch[rows.patch]
+        inset = rows.center - rows.keys.ijk(rows.key)  # [cells] from the low faces of its cell
+        ends: set[tuple[int, int]] = set()
+        for axis, stride in enumerate(rows.keys.strides):
+            low = inset[:, axis] <= self._reach
+            high = inset[:, axis] >= 1.0 - self._reach
+            both = np.intersect1d(rows.key[high] + stride, rows.key[low])
+            sides = []
+            for near, shift in ((high, stride), (low, 0)):
+                at = np.flatnonzero(near & np.isin(rows.key + shift, both))
+                made = [rows.key[at] + shift, skins.shell[rows.triangle[at]], part[at]]
+                sides.append(np.unique(np.stack(made, 1), axis=0))
+            behind = np.split(sides[1], np.unique(sides[1][:, 0], return_index=True)[1][1:])
+            for key, shell, here in sides[0].tolist():
+                for _, other, there in behind[int(np.searchsorted(both, key))].tolist():
+                    if shell != other and self._touch(skins, shell, other):
+                        ends.add((here, there))
+        return np.array(sorted(ends), np.int64).reshape(-1, 2)
 
     @staticmethod
     def _same_cell(by_cell: Ints, in_cell: Ints, which: Ints) -> Ints:
@@ -211,8 +245,14 @@ class _Parts:
         return np.stack([one, rows.patch[hit]], 1)
 
 
-def _touching(rows: Patches, first: Ints, in_cell: Ints, several: Ints, reach: float) -> Ints:
-    """(k, 2) patches of one cell whose shells overlap or come within reach [cells]."""
+def _touching(
+    rows: Patches,
+    first: Ints,
+    in_cell: Ints,
+    several: Ints,
+    touch: Callable[[Skins, int, int], bool],
+) -> Ints:
+    """(k, 2) patches of one cell whose shells touch."""
     skins = rows.skins
     shell = skins.shell[rows.triangle[first]]
     patch = np.flatnonzero(several[in_cell])
@@ -223,13 +263,9 @@ def _touching(rows: Patches, first: Ints, in_cell: Ints, several: Ints, reach: f
     _, start, count = np.unique(groups[first_of, 0], return_index=True, return_counts=True)
     shells = groups[first_of, 1].tolist()
     ends: list[tuple[int, int]] = []
-    met: dict[tuple[int, int], bool] = {}
     for k in np.flatnonzero(count > 1):
         for i, j in combinations(range(start[k], start[k] + count[k]), 2):
-            pair = shells[i], shells[j]
-            if pair not in met:
-                met[pair] = len(met) >= MOST_SHELLS or _meet(skins, *pair, reach)
-            if met[pair]:
+            if touch(skins, shells[i], shells[j]):
                 a, b = patches[i].tolist(), patches[j].tolist()
                 ends += [(p, b[0]) for p in a] + [(a[0], q) for q in b]
     return np.array(ends, np.int64).reshape(-1, 2)

@@ -216,3 +216,21 @@ def test_scraps_without_number_are_left_as_one(monkeypatch) -> None:
     monkeypatch.setattr(copies, "MOST_PATCHES", 1)
     _, limbs = filled(solid(fork(0.03)[0]))
     assert limbs is None or limbs.crowded > 0
+
+
+@pytest.mark.parametrize("gap", [1e-4, 0.01])
+def test_halves_that_meet_on_a_plane_of_the_grid_stay_together(gap: float) -> None:
+    """Symmetric bodies are sampled with a grid plane on their seam: no cell has both halves.
+
+    A bar joins them at one end, so that the seam between them would be a slit of one body.
+    """
+    half, bar = (
+        cube((0.5 * gap, 0.0, 0.0), (0.7, 2.0, 0.4)),
+        cube((-0.5, 0.0, 0.3), (1.0, 0.4, 0.4)),
+    )
+    mirrored = surface(half.points * [-1.0, 1.0, 1.0], half.triangles[:, ::-1])
+    made = solid(half, mirrored, bar)
+    particles, limbs = filled(made)
+    at = float(np.atleast_2d(particles.corner)[0, 0]) / (copies.CELL * particles.lattice)
+    assert at == pytest.approx(round(at), abs=1e-6)  # the seam is on a plane of the grid
+    assert limbs is None
