@@ -187,6 +187,8 @@ class _Parts:
         skins, part = rows.skins, self.of_patch[rows.patch]
         inset = rows.center - rows.keys.ijk(rows.key)  # [cells] from the low faces of its cell
         ends: set[tuple[int, int]] = set()
+        if not skins.shell.any():  # there is one
+            return np.zeros((0, 2), np.int64)
         for axis, stride in enumerate(rows.keys.strides):
             low = inset[:, axis] <= self._reach
             high = inset[:, axis] >= 1.0 - self._reach
