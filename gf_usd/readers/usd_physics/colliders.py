@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +18,7 @@ from gf_usd.readers.notes import Notes
 from gf_usd.readers.usd.implicit import IMPLICIT
 from gf_usd.readers.usd.mesh import Reading, posed_points, read_surface
 from gf_usd.readers.usd.select import inherited
-from gf_usd.readers.usd.stage import Placement, SkippedPrim
+from gf_usd.readers.usd.stage import Placement, SkippedPrim, upwards
 from gf_usd.readers.usd_physics.attributes import body_of, is_collider, number, role, word
 from gf_usd.readers.usd_physics.bodies import PhysicsMaterials
 from gf_usd.readers.usd_physics.motion import (
@@ -38,8 +38,8 @@ def obstacles(
     """Enabled colliders, separated into obstacles and those of baked bodies.
 
     A collider belongs to a baked body if it is baked, is a descendant of a baked prim, or is part
-    of the same rigid or deformable body.  One that inherits from such a collider is neither: its
-    body is a copy that follows the baked one.
+    of the same rigid or deformable body.  One that inherits from such a collider is neither where
+    its body is a copy that follows the baked one.
     """
     baked = [prim.GetPath() for prim in bodies]
     owners = {owner.GetPath() for prim in bodies if (owner := body_of(prim, time))}
@@ -60,25 +60,33 @@ def obstacles(
             )
         else:
             others.append(prim)
-    return (_without_copies(others, own, notes) if own else others), own
+    copied = {*baked, *owners}
+    return [prim for prim in others if not _is_copy(prim, own, copied, time, notes)], own
 
 
-def _without_copies(
-    others: Sequence[Usd.Prim], own: Sequence[Usd.Prim], notes: Notes
-) -> list[Usd.Prim]:
-    """The colliders that inherit from none of a baked body.
+def _is_copy(
+    prim: Usd.Prim,
+    own: Sequence[Usd.Prim],
+    copied: Container[Sdf.Path],
+    time: Usd.TimeCode,
+    notes: Notes,
+) -> bool:
+    """Whether a collider is that of a copy of a baked body.
 
     The clones of a robot inherit from the first one: what is seen of them moves with what is baked
-    of that one (`select`), and their colliders would stay behind as invisible obstacles.
+    of that one (`select`), and their colliders would stay behind as invisible obstacles.  An
+    obstacle that takes only its shape from such a collider follows nothing.
+
+    own : colliders of baked bodies; copied : paths of these bodies and of their baked prims.
     """
-    sources = {prim.GetPath() for prim in own}
-    kept = []
-    for prim in others:
-        if inherited(prim, sources):
-            notes.add(COPY, _name(prim))
-        else:
-            kept.append(prim)
-    return kept
+    if not own or not inherited(prim, {one.GetPath() for one in own}):
+        return False
+    owner = body_of(prim, time)
+    carriers = [owner] if owner else upwards(prim)  # without a body, a baked prim carries it
+    if not any(inherited(one, copied) for one in (prim, *carriers)):
+        return False
+    notes.add(COPY, _name(prim))
+    return True
 
 
 def read_colliders(

@@ -113,6 +113,35 @@ def test_the_colliders_of_copies_that_follow_a_baked_body_are_no_obstacles(read_
     assert [c.path for c in apart.colliders] == ["/Robot/Proxy", "/Clone/Proxy", "/Stand"]
 
 
+def test_an_obstacle_that_shares_the_shape_of_a_collider_is_no_copy_of_its_body(
+    read_physics,
+) -> None:
+    """It follows nothing: only its points come from the collider of the baked body."""
+    guide = 'uniform token purpose = "guide"'
+    body = prim(
+        "Xform", "A", mesh("Look"), mesh("Proxy", guide, apis=[COLLISION]),
+        apis=["PhysicsRigidBodyAPI"],
+    )  # fmt: skip
+    shown = 'uniform token purpose = "default"'
+    wall = prim("Mesh", "Wall", shown, meta="inherits = </A/Proxy>")
+    found = read_physics(body, prim("Xform", "Step", wall), bodies=("/A/Look",))
+    assert only(found).path == "/Step/Wall"
+    assert not [note for note in found.notes if "/Step/Wall" in note]
+    # nor is one of another body, which the baked one does not move
+    other = prim("Xform", "Step", wall, apis=["PhysicsRigidBodyAPI"])
+    assert only(read_physics(body, other, bodies=("/A/Look",))).path == "/Step/Wall"
+    # a copy of the body has both
+    copy = prim("Xform", "Copy", wall, meta="inherits = </A>")
+    assert read_physics(body, copy, bodies=("/A/Look",)).colliders == ()
+
+
+def test_a_collider_that_inherits_from_a_baked_mesh_follows_it(read_physics) -> None:
+    duck = mesh("Duck", mesh("Proxy", 'uniform token purpose = "guide"', apis=[COLLISION]),
+                apis=[COLLISION])  # fmt: skip
+    copy = prim("Mesh", "Copy", meta="inherits = </Duck>")
+    assert read_physics(duck, copy, bodies=("/Duck",)).colliders == ()
+
+
 def test_a_soft_body_of_the_neighbors_owns_its_colliders(read_physics) -> None:
     jelly = prim(
         "Xform",
