@@ -216,12 +216,14 @@ def resolve(
     *,
     stated_fields: Sequence[str] = (),
     attached: bool = False,
+    rounding: float = 0.0,
 ) -> Settings:
     """Settings of a bake, except for those that depend on its material (`paper.of_material`).
 
     radius : r = (3 V / 4 pi)^(1/3) [m]; lowest : [m] of the asset along the floor's normal.
     animation : that the bones of --flesh follow; gravity_keys : time codes and [m/s^2] of the
     stage; stated_fields : its fields; attached : attachments of the stage pin the body.
+    rounding : [m] of `lowest`.
     """
     paper = request.preset == "paper"
     authored = authored_rate(facts)
@@ -234,6 +236,7 @@ def resolve(
     lift = _lift(
         request, facts, radius, ((floor or 0.0) - lowest) / float(normal @ facts.up),
         floor=floor is not None, animated=animation is not None, attached=attached,
+        rounding=rounding,
     )  # fmt: skip
     slow = time_scale_of(requested["time_scale"], T)
     shot = int(np.ceil(SHOT_LENGTH * T * fps / slow)) + 1
@@ -290,11 +293,13 @@ def _lift(
     floor: bool,
     animated: bool,
     attached: bool,
+    rounding: float,
 ) -> float:
     """[m] by which bodies are moved up at the start.
 
     to_floor : [m] by which their lowest point would be moved to the floor, or to height 0 where
     there is no floor.  animated : bones of --flesh support them; attached : attachments do.
+    rounding : [m] by which they may be below the floor where a stage has placed them.
     """
     placed = is_placed(request, facts)
     drop = ON_FLOOR if placed else request.parsed["drop"] or DEFAULT_DROP
@@ -305,7 +310,8 @@ def _lift(
     if not floor:
         return height
     lift = height + to_floor
-    return max(lift, 0.0) if placed else lift  # the stage may have placed it in the air
+    # the stage may have placed it in the air
+    return (lift if lift > rounding else 0.0) if placed else lift
 
 
 def _frame_range(

@@ -59,6 +59,23 @@ def test_it_falls_from_where_the_stage_has_it(
     )
 
 
+@pytest.mark.parametrize(
+    ("middle", "away", "moved"),
+    [(1.0 - 1e-7, 0.0, False), (1.0 - 1e-5, 0.0, True), (0.9999, 2e4, False), (0.99, 2e4, True)],
+    ids=["rounding", "below", "rounding far away", "below far away"],
+)
+def test_what_is_below_by_rounding_stands_on_the_floor(
+    tmp_path: Path, middle: float, away: float, moved: bool
+) -> None:
+    """A note said that the asset begins 1.22e-12 µm below the floor and is moved up onto it."""
+    path = tmp_path / "ball.usda"
+    path.write_text((BALL % (PHYSICS, 7.0)).replace("(0, 7, 0)", f"({away!r}, {middle!r}, 0)"))
+    plan = gf_usd.inspect(path, particles=300).plan
+    assert plan is not None
+    assert (plan.settings.lift[1] > 0.0) == moved
+    assert any("moved up onto it" in note for note in plan.notes) == moved
+
+
 def test_without_physics_a_body_is_dropped(tmp_path: Path) -> None:
     path = tmp_path / "ball.usda"
     path.write_text(BALL % ("", 3.0))

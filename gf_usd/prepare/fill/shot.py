@@ -33,6 +33,9 @@ if TYPE_CHECKING:
 
 
 BELOW = 0.01  # [r] that a held body may begin in the floor at height 0: its surface is coarse
+# Points are in single precision, and a rotation sums three of their coordinates.
+ROUNDING = 4.0 * float(np.finfo(np.float32).eps)  # of the largest coordinate
+MOST_ROUNDING = 1e-3  # [r] that cannot be seen: a small body far from the origin
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,12 +63,15 @@ def plan_shot(
     # a sheet that was thickened reaches below what is drawn
     surfaces = (*asset.surfaces, *inputs.solid.surfaces)
     lowest = min(float((s.face_points @ normal).min()) for s in surfaces)
+    radius = float(filled.bodies.radius.max())
+    farthest = max(float(np.abs(s.face_points).max()) for s in surfaces)
+    rounding = min(ROUNDING * farthest, MOST_ROUNDING * radius)
     animation = inputs.characters.animation(asset) if inputs.characters else None
     unsupported = request.flesh or request.solver == "ul"
     attachments = () if unsupported else physics.attachments
     springs = () if unsupported else physics.soft_attachments
     settings = resolve(
-        request, asset.facts, float(filled.bodies.radius.max()), lowest, animation, gravity_keys,
+        request, asset.facts, radius, lowest, animation, gravity_keys, rounding=rounding,
         stated_fields=physics.fields, attached=bool(attachments or springs),
     )  # fmt: skip
     gap = float(np.dot(settings.lift, normal)) + lowest - (floor or 0.0)
@@ -76,7 +82,7 @@ def plan_shot(
     alone = filled.bodies.count == 1
     held = alone and not any(settings.lift) and (request.pins or attachments or springs)
     own = request.parsed["floor"] is None and request.preset != "paper"
-    if held and own and gap < -BELOW * filled.bodies.radius.max():
+    if held and own and gap < -BELOW * radius:
         settings = replace(settings, floor=None, floor_normal=None)
         notes += (
             f"the pinned asset reaches {length_text(-gap)} below height 0, so there is no floor;"
@@ -84,7 +90,7 @@ def plan_shot(
         )
     notes += _deep_notes(settings, gap, filled.particles.spacing, inputs)
     notes += _raised_notes(settings, lowest, inputs)
-    notes += _moved_notes(settings, surfaces, filled.bodies.radius.max(), inputs)
+    notes += _moved_notes(settings, surfaces, radius, inputs)
     notes += own_space_notes(asset.surfaces, np.asarray(settings.lift), filled.particles.spacing)
     require_resolved(request, settings, gap, filled.particles.spacing)
     return Shot(
