@@ -118,7 +118,6 @@ def prepare(
     plan, solid = fill_found(
         found, request, law, files, given.around(found), repair=repair, progress=progress
     )
-    repair = repair or bool(plan.repairs)  # an open mesh alone holds the others
     if request.flesh:
         _require_named(plan, prims)
     if once_filled:

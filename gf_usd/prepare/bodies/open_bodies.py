@@ -1,4 +1,4 @@
-"""Open meshes that hold closed ones: the shell of a controller with buttons, a head with teeth.
+"""Open meshes that hold closed ones: a head with teeth, the body of a car with wheels.
 
 Only closed meshes are filled, so that what an open one holds comes off.  A ground, a backdrop, a
 room and a bowl are open too, but what they hold is in front of them or in them.  The winding number
@@ -10,14 +10,14 @@ about buttons, wheels and teeth, 0.54 to 0.85 about furniture in rooms and fruit
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import igl
 import numpy as np
 
-from gf_usd.core.arrays import Floats
+from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Asset, Surface
 from gf_usd.core.errors import listed_paths
 
@@ -39,27 +39,28 @@ class OpenBody:
 
     path: str  # prim path
     held: tuple[str, ...]  # prim paths
-    largest: bool  # no closed mesh is as large
 
 
-def open_bodies(asset: Asset, solid: Solid) -> tuple[OpenBody, ...]:
+def open_bodies(asset: Asset, solid: Solid, own: Collection[str] = ()) -> tuple[OpenBody, ...]:
     """The open meshes of an asset that alone hold closed ones, which lie on their outside.
 
-    A mesh is held if it touches nothing as large as the open one.
+    A mesh is held if it touches nothing as large as the open one, and the stage states neither
+    physics nor a component of its own for one of them.  Where all are above the middle of the open
+    one they stand on it, as on a ground or a plinth, and it holds none.
 
-    solid : of the asset, without repair.
+    asset, solid : without scenery and repair; own : paths of meshes with physics of their own.
     """
     from gf_usd.geometry.solid import Bounds, hole_fraction
 
     if not solid.embedded:
         return ()
-    embedded = dict(solid.embedded)
+    embedded, up = dict(solid.embedded), asset.facts.up
     closed = [(one, _size(one), _points(one)) for one in solid.surfaces]
     found = []
     for shell in asset.surfaces:
         open_ = shell.path in embedded and shell.path not in solid.walls and shell.splats is None
         triangles = shell.welded.triangles
-        if not open_ or not len(triangles) or shell.signed_volume <= 0.0:
+        if not open_ or not len(triangles) or shell.signed_volume <= 0.0 or shell.path in own:
             continue
         if hole_fraction(shell.points, triangles, shell.welded.boundary) > OPEN:
             continue
@@ -67,35 +68,22 @@ def open_bodies(asset: Asset, solid: Solid) -> tuple[OpenBody, ...]:
         reach = TOUCH * size
         small = [(one, X) for one, length, X in closed if length < LARGE * size]
         large = [k for k, (_, length, _) in enumerate(closed) if length >= LARGE * size]
-        touching = [(one, X) for one, X in small if _touches(X, shell, bounds, reach)]
+        touching = _touching(small, shell, bounds, reach)
         if not touching:
             continue
         centers = np.array([one.face_points.mean(0) for one, _ in touching])
         if (np.abs(bounds.winding_numbers(centers)) > OUTSIDE).any():
             continue
-        held = [
-            one.path
-            for one, X in touching
-            if not any(
-                solid.bounds[k].inside(X).any()
-                or _touches(X, solid.surfaces[k], solid.bounds[k], reach)
-                for k in large
-            )
-        ]
-        if held:
-            found.append(OpenBody(path=shell.path, held=tuple(held), largest=not large))
+        stated = {one.path for one, _ in touching if one.component != shell.component} | {*own}
+        held = [(one, X) for one, X in touching if one.path not in stated]
+        for k in large:
+            inside = {one.path for one, X in held if solid.bounds[k].inside(X).any()}
+            meet = _touching(held, solid.surfaces[k], solid.bounds[k], reach)
+            elsewhere = inside | {one.path for one, _ in meet}
+            held = [(one, X) for one, X in held if one.path not in elsewhere]
+        if any(_height(one, up) <= _height(shell, up) for one, _ in held):
+            found.append(OpenBody(path=shell.path, held=tuple(one.path for one, _ in held)))
     return tuple(found)
-
-
-def repaired_note(bodies: Sequence[OpenBody]) -> str:
-    """A note on open meshes for which an asset is repaired."""
-    held = [path for one in bodies for path in one.held]
-    is_open, alone = ("is", "it alone holds") if len(bodies) == 1 else ("are", "they alone hold")
-    return (
-        f"{listed_paths([one.path for one in bodies], MOST_NAMED)} {is_open} open, but {alone}"
-        f" {listed_paths(held, MOST_NAMED)}: the asset is baked with --repair; --prim bakes some of"
-        " its meshes without"
-    )
 
 
 def comes_off_notes(bodies: Sequence[OpenBody]) -> tuple[str, ...]:
@@ -103,7 +91,8 @@ def comes_off_notes(bodies: Sequence[OpenBody]) -> tuple[str, ...]:
     return tuple(
         f"{listed_paths(one.held, MOST_NAMED)} {'comes' if len(one.held) == 1 else 'come'} off"
         f" <{one.path}>, which is open and not filled, and touch{'es' * (len(one.held) == 1)}"
-        " nothing else as large; --repair fills it"
+        f" nothing else as large; with --repair <{one.path}> is a shell one spacing thick, and one"
+        " body with what touches it"
         for one in bodies
     )
 
@@ -119,13 +108,38 @@ def _points(surface: Surface) -> Floats:
     return X[:: max(1, len(X) // MOST_POINTS)]
 
 
-def _touches(X: Floats, surface: Surface, bounds: Bounds, reach: float) -> bool:
-    """Whether a point X (n, 3) [m] is within reach [m] of a surface."""
+def _height(surface: Surface, up: Floats) -> float:
+    """[m] of the middle of a surface along up (3,)."""
+    heights = surface.face_points @ up
+    return 0.5 * float(heights.min() + heights.max())
+
+
+def _touching(
+    parts: Sequence[tuple[Surface, Floats]], surface: Surface, bounds: Bounds, reach: float
+) -> list[tuple[Surface, Floats]]:
+    """Those of some meshes, with points (n, 3) [m] of each, that have one within reach [m] of a
+    surface.
+    """
     low, high = bounds.low - reach, bounds.high + reach
-    X = X[((low <= X) & (high >= X)).all(1)]
-    if not len(X):
-        return False
+    near = [X[((low <= X) & (high >= X)).all(1)] for _, X in parts]
+    counts = [len(X) for X in near]
+    if not sum(counts):
+        return []
+    X = np.concatenate(near)
+    # one hierarchy for all: of a large surface it takes longer to build than to query
+    triangles = _triangles_about(surface, X, reach)
+    if not len(triangles):
+        return []
     center = surface.points.mean(0)
-    triangles = surface.welded.triangles.astype(np.int64)
     squared = igl.point_mesh_squared_distance(X - center, surface.points - center, triangles)[0]
-    return float(np.min(squared)) <= reach**2
+    meets = np.asarray(squared) <= reach**2
+    of_part = np.split(meets, np.cumsum(counts)[:-1])
+    return [part for part, hits in zip(parts, of_part, strict=True) if hits.any()]
+
+
+def _triangles_about(surface: Surface, X: Floats, reach: float) -> Ints:
+    """(T, 3) triangles whose box comes within reach [m] of the box of points X (n, 3) [m]."""
+    triangles = surface.welded.triangles.astype(np.int64)
+    corners = surface.points[triangles]
+    near = (corners.min(1) <= X.max(0) + reach) & (corners.max(1) >= X.min(0) - reach)
+    return np.ascontiguousarray(triangles[near.all(1)])

@@ -38,7 +38,7 @@ from gf_usd.prepare.bodies.grounds import (
     without_room_parts,
     without_scenery,
 )
-from gf_usd.prepare.bodies.open_bodies import comes_off_notes, open_bodies, repaired_note
+from gf_usd.prepare.bodies.open_bodies import comes_off_notes, open_bodies
 from gf_usd.prepare.bodies.sampling import SampledBodies, spacing_of
 from gf_usd.prepare.bodies.velocities import start_velocities, unpinned_animation_notes
 from gf_usd.prepare.fill.bodies import fill_bodies
@@ -128,16 +128,6 @@ def fill(
         collider_of=partial(collider_of, spec),
     )  # fmt: skip
     meshes = build(asset, built=built)
-    held: tuple[str, ...] = ()
-    if in_scene and not repair and built is None:
-        found = open_bodies(meshes.asset, meshes.solid)
-        if any(one.largest for one in found):
-            plan, solid = fill(
-                asset, request, presets, law, files, file, spec=spec, repair=True, known=known,
-                more_pins=more_pins, progress=progress,
-            )  # fmt: skip
-            return replace(plan, notes=(repaired_note(found), *plan.notes)), solid
-        held = comes_off_notes(found)
     source = CharacterFile(asset, file, request.start) if request.flesh and file else None
     if source is not None:
         by_count = spacing_of(meshes.solid.volume, request.particles or DEFAULT_PARTICLES)
@@ -150,11 +140,14 @@ def fill(
         if worn:
             meshes = build(asset, unfilled=worn)
     scenery: list[Surface] = []
+    come_off: tuple[str, ...] = ()
     if in_scene:
         asset, solid = without_scenery(meshes.asset, meshes.solid)
         kept = {s.path for s in asset.surfaces}
         scenery = [s for s in meshes.asset.surfaces if s.path not in kept]
         meshes = replace(meshes, asset=asset, solid=solid)
+        if not repair and built is None:  # what is filled again has been noted
+            come_off = comes_off_notes(open_bodies(asset, solid, of_their_own(spec)))
     asset, solid = meshes.asset, meshes.solid
     gravity_keys = spec.physics.gravity_keys if request.gravity is None else ()
     flow = dispatch(solid, spec, presets, law, request.regions, request.converted, unit)
@@ -206,7 +199,7 @@ def fill(
         *cages, *filter(None, (coarse,)), *unpinned,
         *filled.character_notes, *constraints.flesh.notes, *limbs.notes, *materials.notes,
         *softness, *length.physics.notes,
-        *held, *not_filled_notes(solid, constraints.flesh.sheets, joined_to),
+        *come_off, *not_filled_notes(solid, constraints.flesh.sheets, joined_to),
         *not_baked_notes(asset.skipped), *SKIN_NOTES.get(settings.skin, ()),
         *paper_notes(materials.main, each), *split_notes,
         *no_internals_notes(materials.main, settings),
