@@ -55,15 +55,8 @@ def _caps(
     faces, hole, normal, size = faces[kept], hole[kept], normal[kept], size[kept]
     places = np.einsum("pk,tka->tpa", TESTED, points[faces]).reshape(-1, 3)
     aside = np.repeat(NEAR * spacing * normal / size[:, None], len(TESTED), axis=0)
-    bounds = _inside(solid, members, places - aside) & ~_inside(solid, members, places + aside)
+    body = solid.part(members)
+    bounds = body.inside(places - aside) & ~body.inside(places + aside)
     near = bounds.reshape(len(faces), -1).mean(1)
     area, good = (np.bincount(hole, w, len(rings)) for w in (size, size * near))
     return faces[(good > MOST_OF_IT * area)[hole]]
-
-
-def _inside(solid: Solid, members: Ints, X: Floats) -> NDArray[np.bool_]:
-    """(n,) whether points X (n, 3) [m] are inside any of some surfaces."""
-    out = np.zeros(len(X), bool)
-    for k in members:
-        out |= solid.bounds[k].inside(X)
-    return out

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from gf_usd.core.errors import counted
+from gf_usd.core.errors import agreed, counted
 from gf_usd.core.frames.particles import times_as_long
 from gf_usd.core.units import length_text
 from gf_usd.geometry.thin.parts import WHOLE, Part, suggestion
@@ -23,8 +23,8 @@ def poor_note(parts: Sequence[Part], particles: int) -> str:
     one, more = thin[0], len(thin) > 1
     place = f"shell {one.shell}" if one.kind in WHOLE else "a region"
     where = f"{place} of <{one.path}>, {length_text(one.size)} large and {_thick(one)}"
-    them = "them" if more else "it"
-    what = f"contain{'' if more else 's'} {poor_text(thin, particles, them)}"
+    contain, them = (agreed(len(thin), text) for text in ("[contains/contain]", "[it/them]"))
+    what = f"{contain} {poor_text(thin, particles, them)}"
     return (
         f"{counted(len(thin), 'part')} {what}"
         f" ({'the largest: ' if more else ''}{where}; gf-usd inspect shows where)"

@@ -413,8 +413,8 @@ def _thin(solid: Solid, X: Floats, normal: Floats, side: Floats, spacing: float)
 def _solid_ends(solid: Solid, X: Floats, normal: Floats, spacing: float) -> winding.Flags:
     """(n,) True where the solid ends at another surface within `THIN` spacings of its points X.
 
-    Beside a hole it may also end where the winding number falls below one half, however thick it is
-    there.  In closed surfaces it cannot.
+    Next to a hole it may also end where the winding number falls below one half, however thick it
+    is there.  In closed surfaces it cannot.
     """
     if not len(X) or not any(len(surface.welded.boundary) for surface in solid.surfaces):
         return np.ones(len(X), bool)

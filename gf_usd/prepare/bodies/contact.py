@@ -80,7 +80,7 @@ LONGEST = 1.5
 
 def skins(solid: Solid, of: Ints, spacing: float = np.inf) -> tuple[Skin, ...]:
     """The surface of each body, facing outward, with edges of at most LONGEST spacings [m], and
-    with caps over its holes where the spacing is given.
+    with the caps of its holes; of none without a spacing.
     """
     from gf_usd.geometry.sampling.holes import capped
 
@@ -89,8 +89,7 @@ def skins(solid: Solid, of: Ints, spacing: float = np.inf) -> tuple[Skin, ...]:
         points, triangles, first = [], [], 0
         members = np.flatnonzero(of == body)
         for s in members.tolist():
-            known = np.isfinite(spacing)
-            p, t = capped(solid, s, members, spacing) if known else solid.outward(s)
+            p, t = capped(solid, s, members, spacing)
             points.append(p)
             triangles.append(t + first)
             first += len(p)

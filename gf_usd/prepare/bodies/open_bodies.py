@@ -19,7 +19,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Asset, Surface
-from gf_usd.core.errors import listed_paths
+from gf_usd.core.errors import agreed, listed_paths
 
 if TYPE_CHECKING:
     from gf_usd.geometry.solid import Bounds, Solid
@@ -89,10 +89,13 @@ def open_bodies(asset: Asset, solid: Solid, own: Collection[str] = ()) -> tuple[
 def comes_off_notes(bodies: Sequence[OpenBody]) -> tuple[str, ...]:
     """Notes on what open meshes hold that are not filled."""
     return tuple(
-        f"{listed_paths(one.held, MOST_NAMED)} {'comes' if len(one.held) == 1 else 'come'} off"
-        f" <{one.path}>, which is open and not filled, and touch{'es' * (len(one.held) == 1)}"
-        f" nothing else as large; with --repair <{one.path}> is a shell one spacing thick, and one"
-        " body with what touches it"
+        f"{listed_paths(one.held, MOST_NAMED)} "
+        + agreed(
+            len(one.held),
+            f"[comes/come] off <{one.path}>, which is open and not filled, and [touches/touch]"
+            f" nothing else as large; with --repair <{one.path}> is a shell one spacing thick, and"
+            " one body with what touches it",
+        )
         for one in bodies
     )
 

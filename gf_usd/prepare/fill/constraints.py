@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
-from gf_usd.core.errors import InputError, counted, listed_paths
+from gf_usd.core.errors import InputError, agreed, counted, listed_paths
 from gf_usd.core.frames.settings import Settings, sampled, written
 from gf_usd.core.stage import Goals, Pin
 from gf_usd.prepare.bodies.contact import LimbPlan
@@ -101,17 +101,16 @@ def _require_no_sheets(names: Sequence[str], inputs: Inputs, sheets: Collection[
         found = [s.path for s in inputs.asset.surfaces if f"{s.path}/".startswith(above)]
         if not found or any(path not in sheets for path in found):
             continue
-        one = len(found) == 1
-        are, follow, poses, them = (
-            ("is", "it follows its", "pose", "it")
-            if one
-            else ("are", "they follow their", "poses", "them")
+        text = agreed(
+            len(found),
+            "[is/are] not filled and cannot be rigid: [it follows its/they follow their] skinned"
+            " [pose/poses], and the flesh near [it/them]",
         )
+        them = agreed(len(found), "[it/them]")
         reason = reasons[found[0]]
         way = "use more --particles" if reason.endswith(THIN) else "name a mesh that is closed"
         raise InputError(
-            f"{inputs.asset.facts.path}: --rigid {name} --flesh: {listed_paths(found)} {are} not"
-            f" filled and cannot be rigid: {follow} skinned {poses}, and the flesh near {them};"
+            f"{inputs.asset.facts.path}: --rigid {name} --flesh: {listed_paths(found)} {text};"
             f" {reason}",
             f"omit it; or {way}, or bind {them} to a single joint",
         )
